@@ -172,6 +172,8 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     for place in (tmp_path / "absent.json", tmp_path):
         with pytest.raises(ModelFileError, match=str(place)):
             load_model(place)
+    with pytest.raises(ModelFileError, match="None: this is no path"):
+        load_model(None)  # type: ignore[arg-type]
 
 
 def test_names_stay_readable(tmp_path: Path) -> None:

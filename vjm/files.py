@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from vjm.errors import InputError, printable
+from vjm.errors import InputError, printable, shown
 
 _LARGEST = 2**31  # bytes of a file that is read: a hundred million numbers, days of a fast camera
 
@@ -130,20 +130,28 @@ def check_no_folder(path: Path | str) -> Path:
     """Return where a file shall stand as a path.
 
     Raises:
-        FolderError: it is a folder.
+        FolderError: it is a folder, or no path.
     """
-    if os.path.isdir(path):
-        raise FolderError(path, "this is a folder", "name a file, such as one in it")
-    return Path(path)
+    file = _as_path(path)
+    if os.path.isdir(file):
+        raise FolderError(file, "this is a folder", "name a file, such as one in it")
+    return file
+
+
+def _as_path(value: Path | str) -> Path:
+    try:
+        return Path(value)
+    except TypeError as error:
+        raise FolderError(shown(value), "this is no path", "give the name of a file or folder") from error
 
 
 def check_folder(directory: Path | str) -> Path:
     """Return the folder as a path if results can be written into it or it can be made; nothing is made yet.
 
     Raises:
-        FolderError: it is no folder, its parent does not exist, or it cannot be written to.
+        FolderError: it is no folder or path, its parent does not exist, or it cannot be written to.
     """
-    folder = Path(directory)
+    folder = _as_path(directory)
     try:
         is_folder = stat.S_ISDIR(folder.stat().st_mode)
     except (FileNotFoundError, NotADirectoryError):

@@ -277,8 +277,12 @@ def test_what_is_masked_was_not_measured() -> None:
 def test_what_a_caller_does_to_an_array_later_changes_no_recording() -> None:
     buffer = MARKERS.copy()
     first = recording(markers=buffer)
+    view = buffer.view()
+    view.flags.writeable = False  # as pandas hands out
+    second = recording(markers=view)
     buffer *= 2
     assert np.array_equal(first.markers, MARKERS)
+    assert np.array_equal(second.markers, MARKERS)
     with pytest.raises(ValueError, match="read-only"):
         first.markers[0] = 0.0
     assert replace(first, role="holdout").markers is first.markers  # no copy of what nothing can change

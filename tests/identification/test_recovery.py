@@ -154,8 +154,9 @@ def test_errors_name_what_is_wrong() -> None:
         identify(experiment, parameters="all")
     with pytest.raises(ChoiceError, match="smoothing"):
         identify(experiment, derivatives="finite differences")
-    with pytest.raises(ShapeError, match="virtual_joints"):
-        identify(experiment, virtual_joints=0)
+    for joints in (0, True, "3", 2.5):
+        with pytest.raises(ShapeError, match=f"virtual_joints: got {joints!r}; expected a whole number"):
+            identify(experiment, virtual_joints=joints)  # type: ignore[arg-type]
     quiet = tuple(r for r in experiment.recordings if r.kind == "quiet")
     with pytest.raises(InsufficientDataError, match="driven"):
         identify(replace(experiment, recordings=quiet))

@@ -12,6 +12,7 @@ import pytest
 from tests.model.urdf_contents import robot_from
 from tests.report.fits import demo_fit, pictures_of
 from tests.report.schema import IdentifyResult, SimulateResult
+from vjm.errors import ShapeError
 from vjm.files import FolderError, write_folder
 from vjm.identification.comparison import Comparison, compare
 from vjm.report import output
@@ -39,6 +40,18 @@ def test_folder_holds_everything(tmp_path: Path) -> None:
     assert model.rig == fit.model.rig
     assert tuple(robot_from(folder / "model.urdf").actuated_joint_names) == fit.model.chain.joint_names
     assert {path.stem for path in (folder / "figures").iterdir()} == {picture.name for picture in pictures_of(fit)}
+
+
+def test_what_is_no_result_and_no_path_is_refused(tmp_path: Path) -> None:
+    fit = demo_fit()
+    for result in (None, fit.experiment, fit.model):
+        with pytest.raises(ShapeError, match=r"expected what vjm\.identify"):
+            save(result, tmp_path / "out")  # type: ignore[arg-type]
+    with pytest.raises(FolderError, match="None: this is no path"):
+        save(fit, None)  # type: ignore[arg-type]
+    with pytest.raises(FolderError, match="3: this is no path"):
+        fit.model.to_urdf(3)  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
 
 
 def test_saved_model_comes_back_with_its_errors(tmp_path: Path) -> None:

@@ -115,6 +115,8 @@ def test_an_unstable_law_is_named() -> None:
         ({"duration": -1.0}, "duration"),
         ({"duration": 1.0, "torque": np.zeros((5, 2))}, "torque"),
         ({"duration": 1.0, "torque": [0.0, np.nan]}, "torque"),
+        ({"duration": 1.0, "torque": "strong"}, "torque: got 'strong'; expected an array of numbers"),
+        ({"duration": 1.0, "initial": [[0.0], [0.0, 1.0]]}, "initial"),
         ({"duration": 1.0, "torque": lambda t, theta, rate: "strong"}, "torque"),
         ({"duration": 1.0, "torque": lambda t, theta, rate: [1.0, 2.0]}, "torque"),
         ({"duration": 1.0, "initial": [0.0, 0.0, 0.0]}, "initial"),

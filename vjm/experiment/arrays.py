@@ -39,7 +39,7 @@ def as_array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[
         array = np.empty(()) if np.iscomplexobj(value) else np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         array = np.empty(())
-    if array.flags.writeable:
+    if _may_change(array):
         array = array.copy()
         array.flags.writeable = False
     if not array.ndim:
@@ -51,6 +51,15 @@ def as_array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[
         raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{length_note}")
     _check_range(name, key, array, key)
     return array
+
+
+def _may_change(array: Any) -> bool:
+    """Return True if an array, or what it is a view of, can be written to; pandas hands out read-only views."""
+    while isinstance(array, np.ndarray):
+        if array.flags.writeable:
+            return True
+        array = array.base
+    return array is not None  # the buffer of something that is no array
 
 
 def _refuse_dates(name: str, key: str, value: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from vjm.chain.curve import curve_map
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError, ShapeError
+from vjm.errors import ChoiceError, ShapeError, shown
 from vjm.experiment.records import require_experiment
 from vjm.experiment.spectrum import match, mode_shapes
 from vjm.identification.check import (
@@ -95,8 +95,9 @@ def identify(
     ):
         if value not in choices:
             raise ChoiceError(option, value, choices)
-    if virtual_joints is not None and not (isinstance(virtual_joints, Integral) and 1 <= virtual_joints <= 60):
-        raise ShapeError("virtual_joints", virtual_joints, "a whole number from 1 to 60")
+    counted = isinstance(virtual_joints, Integral) and not isinstance(virtual_joints, bool)
+    if virtual_joints is not None and not (counted and 1 <= virtual_joints <= 60):
+        raise ShapeError("virtual_joints", shown(virtual_joints), "a whole number from 1 to 60")
     likely = refuse_mistakes(experiment)
     progress = Stages(progress, 0.25).inside  # share of the remaining progress that a fit takes: there are seven
     data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)

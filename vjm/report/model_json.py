@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -126,6 +127,8 @@ def read_model(
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
         ShapeError: a model of another arm than the experiment's.
     """
+    if not isinstance(path, str | PathLike):
+        raise ModelFileError(shown(path), "this is no path", "the path of a model.json")
     with _faults_of(path):
         entry = _ModelEntry.model_validate_json(read_file(Path(path)))
     rig = experiment.rig if experiment else entry.rig

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vjm.diagnosis.records import Diagnosis
+from vjm.errors import ShapeError, shown
 from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison
@@ -52,7 +53,10 @@ def save(
 
     Raises:
         FolderError: the folder cannot be written to.
+        ShapeError: no such result.
     """
+    if not isinstance(result, Comparison | Diagnosis):
+        raise ShapeError("result", shown(result), "what vjm.identify, compare or diagnose returned")
     folder = check_folder(directory)
     if isinstance(result, Diagnosis):
         pictures, covariance = diagnosis_pictures(result), None

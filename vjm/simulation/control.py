@@ -45,11 +45,18 @@ class _Feedback(Effect):
         return forces
 
 
+def _numbers(name: str, values: ArrayLike) -> Array:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ShapeError(name, shown(values), "an array of numbers") from None
+
+
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...], unit: str) -> Array:
     """Return values as an array of a shape; a single joint's may be one number."""
     try:
-        array = np.asarray(values, dtype=float).reshape(shape)
-    except (TypeError, ValueError):
+        array = _numbers(name, values).reshape(shape)
+    except ValueError:
         raise ShapeError(name, shown(values), f"{shape}, finite [{unit}]") from None
     if not np.isfinite(array).all():
         raise ShapeError(name, "a value that is not finite", f"{shape}, finite [{unit}]")
@@ -102,7 +109,7 @@ def simulate_motion(
         time = np.linspace(0.0, duration, 1 + int(np.ceil(duration / step)))
         torques = np.zeros((time.size, count))
     else:
-        samples = np.asarray(torque, dtype=float)
+        samples = _numbers("torque", torque)
         if samples.ndim == 0 or samples.shape[0] < 2:
             raise ShapeError("torque", samples.shape, f"(T, {count}) at T >= 2 instants [N m]")
         time = np.linspace(0.0, duration, samples.shape[0])
@@ -135,7 +142,7 @@ def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) ->
     """Return angles and rates (nv,), (nv,) from those of all joints, or of active ones with passive ones at rest."""
     chain = arm.chain
     n, count = chain.size, chain.active.size
-    state = np.zeros((2, count)) if initial is None else np.asarray(initial, dtype=float)
+    state = np.zeros((2, count)) if initial is None else _numbers("initial", initial)
     if state.shape == (2, n) and np.isfinite(state).all():
         return state[0], state[1]
     if state.shape != (2, count) or not np.isfinite(state).all():

@@ -17,7 +17,7 @@ from vjm.effects.effect import Effect
 from vjm.errors import ShapeError
 from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.experiment.records import as_rig, for_rig
-from vjm.files import write_text
+from vjm.files import check_no_folder, write_text
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
@@ -90,7 +90,8 @@ class Model(Record):
             ShapeError: a number of joints below one, or a time below zero.
         """
         rig = as_rig(rig)
-        if not isinstance(virtual_joints, Integral) or virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
+        counted = isinstance(virtual_joints, Integral) and not isinstance(virtual_joints, bool)
+        if not counted or virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
             value = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
             raise ShapeError("model", value, "a whole number from 1, and a time, zero or positive [s]")
         cuts = rig_layouts(rig, [link.virtual_joints or virtual_joints for link in rig.links])
@@ -210,7 +211,7 @@ class Model(Record):
         Raises:
             FolderError: the file cannot be written.
         """
-        file = Path(path)
+        file = check_no_folder(path)
         write_text(file, self.arm.urdf())
         return file
 
@@ -226,7 +227,8 @@ class Model(Record):
             ShapeError: as of `simulator_path` and `chain_to_urdf`; a base under load without a spring; drives whose
                 inertia the simulator has no place for.
         """
-        file, simulator_file = Path(path), simulator_path(path, simulator)
+        simulator_file = simulator_path(path, simulator)
+        file = Path(path)
         markers = [link.markers for link in self.rig.links]
         text = self.arm.simulator_file(simulator, file.name, markers)
         self.to_urdf(file)
