@@ -143,16 +143,24 @@ class PanelFigure:
         self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(6, len(shown)))
         engine = self.figure.get_layout_engine()
         assert engine is not None
+        # As many ticks as the panels have room for: where their number followed the layout, and the layout the width of
+        # their labels, the two need not settle.
+        room = self._set_ticks()
         engine.execute(self.figure)
-        # As many ticks as the panels have room for now: where their number followed the layout, and the layout their
-        # labels' width, the two need not settle.
+        if self._set_ticks() != room:
+            engine.execute(self.figure)
+        self.figure.set_layout_engine(None)  # with an engine, saving would draw everything twice
+        return self.figure
+
+    def _set_ticks(self) -> list[int]:
+        """Set the numbers of ticks, where these are free, to those that the panels have room for, and return them."""
+        room = []
         for axes in self.figure.axes:
             for axis in (axes.xaxis, axes.yaxis):
                 if isinstance(locator := axis.get_major_locator(), AutoLocator):
-                    locator.set_params(nbins=max(1, min(axis.get_tick_space(), 9)))
-        engine.execute(self.figure)
-        self.figure.set_layout_engine(None)  # with an engine, saving would draw everything twice
-        return self.figure
+                    room.append(max(1, min(axis.get_tick_space(), 9)))
+                    locator.set_params(nbins=room[-1])
+        return room
 
 
 def log_axis(axis: Axis, low: float, high: float) -> None:
