@@ -110,6 +110,16 @@ def test_senseless_arguments_end_with_status_2(arguments: list[str], capsys: pyt
     assert "\x1b" not in captured.err
 
 
+@pytest.mark.parametrize(
+    "arguments", [["init", ""], ["check", ""], *([command, "x", "-o", ""] for command in COMMANDS)]
+)
+def test_an_empty_path_is_not_the_current_folder(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse(arguments)
+    assert ended.value.code == 2
+    assert re.search(r"argument \S+: '' names no file and no folder\n$", capsys.readouterr().err)
+
+
 def test_common_options() -> None:
     arguments = parse(["identify", "x.toml", "-o", "here", "--json", "-q", "--no-progress", "--virtual-joints", "4"])
     assert (str(arguments.out), arguments.json, arguments.quiet, arguments.no_progress) == ("here", True, True, True)

@@ -41,9 +41,9 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
         command.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
         command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
         command.add_argument("--no-progress", action="store_true", help="no progress bar on the terminal")
-        command.add_argument("-o", "--out", metavar=metavar, type=Path, default=folder, help=out)
+        command.add_argument("-o", "--out", metavar=metavar, type=_path, default=folder, help=out)
         if experiment:
-            command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
+            command.add_argument("experiment", metavar="EXPERIMENT", type=_path, help="the experiment file (TOML)")
         return command
 
     notes = (
@@ -74,7 +74,7 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     text = "replay every recording with an identified model, and compare"
     simulate = add("simulate", text, _FILES, Path("vjm-simulate"))
     text = "the model.json of an identification or a diagnosis"
-    simulate.add_argument("model", metavar="MODEL", type=Path, help=text)
+    simulate.add_argument("model", metavar="MODEL", type=_path, help=text)
 
     _add_diagnose(add)
     _add_urdf(add)
@@ -111,7 +111,7 @@ def _add_urdf(add: Callable[..., argparse.ArgumentParser]) -> None:
     notes = "An experiment gives the chain of its nominal values. The springs' stiffness is in the element vjm:model."
     text = "the URDF file (default: standard output; with --json, inside the result object)"
     urdf = add("urdf", "write the virtual-joint chain as URDF", notes, None, text, "FILE", experiment=False)
-    urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
+    urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=_path, help="a model.json, or an experiment file")
     text = "also write, beside FILE, a model with springs for this simulator: " + ", ".join(
         f"{name} {suffix}" for name, suffix in SIMULATORS.items()
     )
@@ -128,7 +128,7 @@ def _add_flexify(add: Callable[..., argparse.ArgumentParser]) -> None:
     flexify = add(
         "flexify", "make a link or a joint of a robot's URDF flexible", notes, None, text, "FILE", experiment=False
     )
-    flexify.add_argument("urdf", metavar="ROBOT.urdf", type=Path, help="the robot")
+    flexify.add_argument("urdf", metavar="ROBOT.urdf", type=_path, help="the robot")
     link = flexify.add_argument_group("flexible link")
     link.add_argument("--link", metavar="NAME", help="the link")
     link.add_argument("--joints", metavar="N", type=_at_least(1), help="number of virtual joints along the link")
@@ -167,9 +167,9 @@ def _add_init(add: Callable[..., argparse.ArgumentParser]) -> None:
     )
     text = "folder for the check's result.json and check.png; without it neither is written"
     init = add("init", "write an experiment file for recordings", notes, None, text, experiment=False)
-    init.add_argument("folder", metavar="FOLDER", type=Path, help="where experiment.toml is written")
+    init.add_argument("folder", metavar="FOLDER", type=_path, help="where experiment.toml is written")
     text = "recordings (default: all CSV files in FOLDER)"
-    init.add_argument("--csv", metavar="FILE", type=Path, nargs="+", default=None, help=text)
+    init.add_argument("--csv", metavar="FILE", type=_path, nargs="+", default=None, help=text)
     init.add_argument("--name", help="name of the experiment (default: the folder's)")
     init.add_argument("--joint", choices=("revolute", "clamped"), help="kind of joint at the first link's proximal end")
     for key, unit in (
@@ -217,6 +217,12 @@ def _number(kind: Callable[[str], T], valid: Callable[[T], bool], expected: str)
 
 _positive = _number(float, lambda value: 0 < value < inf, "a positive number")
 _finite = _number(float, isfinite, "a finite number")
+
+
+def _path(text: str) -> Path:
+    if not text:  # which Path takes for the current folder
+        raise argparse.ArgumentTypeError("'' names no file and no folder")
+    return Path(text)
 
 
 def _at_least(minimum: int) -> Callable[[str], int]:
