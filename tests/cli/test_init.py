@@ -113,12 +113,39 @@ def test_folders_and_files_that_will_not_do(tmp_path: Path, capsys: pytest.Captu
     assert "a.csv: row 1: no column looks like a marker's coordinate" in run(capsys, "init", tmp_path)[2]
     (tmp_path / "a.csv").write_text("name\nx\n")
     assert "no column of numbers" in run(capsys, "init", tmp_path)[2]
-    (tmp_path / "a.csv").write_bytes(b"t,x\n\xff,1\n")
-    assert "cannot be read" in run(capsys, "init", tmp_path)[2]
     (tmp_path / "a.csv").unlink()
     os.mkfifo(tmp_path / "a.csv")
     assert "a.csv: cannot be read (this is a pipe or a device, not a file)" in run(capsys, "init", tmp_path)[2]
     assert not (tmp_path / "experiment.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the file is empty; expected a header line and rows of numbers"),
+        (b"\xef\xbb\xbf \n\n", "the file is empty"),
+        (b"t,M1 X,M1 Y\n", "no row follows the header"),
+        (b"t,M1 X,M1 Y\n0,1,2\n1,2,3,4\n", "row 3: 4 cells; expected 3 cells, as in the header"),
+        (b't,M1 X,M1 Y\n0,1,"2\n', "row 2: cannot be read (unexpected end of data)"),
+        (b"t,M1 X,M1 Y\n\xff,1,2\n", "row 2: byte 0xff is not UTF-8"),
+    ],
+)
+def test_what_is_no_csv_file_is_said_as_check_says_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, message: str
+) -> None:
+    (tmp_path / "a.csv").write_bytes(content)
+    status, out, err = run(capsys, "init", tmp_path)
+    assert (status, out) == (2, "")
+    assert f"a.csv: {message}" in err
+    assert not (tmp_path / "experiment.toml").exists()
+
+
+def test_columns_of_text_are_left_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for file in folder.glob("*.csv"):
+        pd.read_csv(file).assign(Quality="good").to_csv(file, index=False)
+    status, out, err = run(capsys, "init", folder, *RIG)
+    assert (status, err) == (0, "")
+    assert "not used: Quality" in out
 
 
 def test_names_of_files_and_columns_may_be_odd(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

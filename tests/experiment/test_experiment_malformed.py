@@ -224,6 +224,7 @@ CSV_CASES: list[tuple[Callable[[list[str], list[list[str]]], str], int | None, s
     (text(lambda x: ""), None, None, ["empty", "header"]),
     (text(lambda x: " \n\n"), None, None, ["empty"]),
     (text(lambda x: x[: x.index("\n") + 1]), None, None, ["no row follows"]),
+    (text(lambda x: x[: x.index("\n") + 1] + '""\n'), None, None, ["no row follows"]),
     (text(lambda x: x[x.index("\n") + 1 :]), 1, FIRST_CELL, ["unknown column", "t, arm.theta"]),
     (text(lambda x: "# made by hand\n" + x), 1, "# made by hand", ["unknown column"]),
     (text(lambda x: x.replace("0.03", "0.03\udce9", 1)), 5, None, ["byte 0xe9 is not UTF-8"]),

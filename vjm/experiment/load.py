@@ -288,11 +288,9 @@ def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dic
     except RecordingError as error:
         column = conventions.name_in_files(error.column or "")
         raise RecordingError(file, 1, column, error.problem, error.expected) from error
-    if not body or body.isspace():
-        raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
-    parsed = _parse_at_once(body, len(header)) or _parse_row_by_row(file, header, body.decode("utf-8"), used)
-    columns = [(name, column) for name, use, column in zip(names, used, parsed[0].T, strict=True) if use]
-    return _Table(file, dict(columns), parsed[1])
+    numbers, lines = _parse(file, header, body, used)
+    columns = [(name, column) for name, use, column in zip(names, used, numbers.T, strict=True) if use]
+    return _Table(file, dict(columns), lines)
 
 
 def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[str, Array], Indices]:
@@ -362,6 +360,16 @@ def _to_recording(
         raise RecordingError(tables[owner].file, line, columns[1] or None, error.problem, error.expected) from error
 
 
+def read_numbers(file: Path) -> tuple[tuple[str, ...], Array]:
+    """Return the names of a CSV file's columns, and their numbers (T, columns); NaN for a cell that holds none.
+
+    Raises:
+        RecordingError: it is no CSV file, or no row follows its header.
+    """
+    header, body = _read_text(file)
+    return header, _parse(file, header, body, (False,) * len(header))[0]
+
+
 def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
     try:
         raw = read_file(file)
@@ -390,6 +398,18 @@ def _split_header(file: Path, header: str) -> tuple[str, ...]:
         raise RecordingError(file, 1, None, "the header is empty", "column names")
     check_separator(file, names)
     return names
+
+
+def _parse(file: Path, columns: tuple[str, ...], body: bytes, used: tuple[bool, ...]) -> tuple[Array, Indices]:
+    """Return the (T, c) values of what follows a header, and their lines.
+
+    A column that is not `used` is NaN where it holds no number.
+    """
+    parsed = None if body.isspace() else _parse_at_once(body, len(columns))
+    values, lines = parsed or _parse_row_by_row(file, columns, body.decode("utf-8"), used)
+    if not lines.size:
+        raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
+    return values, lines
 
 
 def _parse_at_once(body: bytes, count: int) -> tuple[Array, Indices] | None:
@@ -425,7 +445,7 @@ def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str, used: tup
                 expected = f"{len(columns)} cells, as in the header"
                 raise RecordingError(file, line, None, counted(len(cells), "cell"), expected)
             named = zip(columns, cells, used, strict=True)
-            rows.append([_parse_cell(file, line, name, cell) if use else math.nan for name, cell, use in named])
+            rows.append([_parse_cell(file, line, name, cell, use) for name, cell, use in named])
             lines.append(line)
     except csv.Error as error:
         line = reader.line_num + 1
@@ -433,13 +453,13 @@ def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str, used: tup
     return np.array(rows, dtype=np.float64), np.array(lines, dtype=np.intp)
 
 
-def _parse_cell(file: Path, line: int, column: str, text: str) -> float:
+def _parse_cell(file: Path, line: int, column: str, text: str, used: bool) -> float:
     cell = text.strip()
-    if not cell:
-        return math.nan
     number = re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell, re.ASCII)
     if number and math.isfinite(float(cell)):
         return float(cell)
+    if not cell or not used:
+        return math.nan
     infinite = number or cell.lstrip("+-").lower() in {"inf", "infinity"}
     problem = f"an infinite value, {shown(cell)}" if infinite else f"{shown(cell)} is not a number"
     expected = "a finite number, or an empty cell where nothing was measured"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -14,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from vjm.errors import RecordingError, printable
 from vjm.experiment.checks import moves
-from vjm.experiment.conventions import FACTORS, Array, check_separator
-from vjm.files import read_file
+from vjm.experiment.conventions import FACTORS, Array
+from vjm.experiment.load import read_numbers
 
 # Stands where a number has to be filled in: no key takes a text there, so that reading the file names it.
 _UNKNOWN = "?"
@@ -251,16 +249,8 @@ def _read_csv(path: Path) -> _CsvFile:
     Raises:
         RecordingError: it cannot be read, or holds no numbers.
     """
-    try:
-        content = io.BytesIO(read_file(path))
-        frame = pd.read_csv(content, encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
-    except (OSError, ValueError) as error:  # of pandas' own kinds, and text that is not UTF-8
-        problem = f"cannot be read ({getattr(error, 'strerror', None) or error})"
-        raise RecordingError(path, None, None, problem, "a CSV file with a header") from error
-    header = tuple(str(name).strip() for name in frame.columns)
-    check_separator(path, header)
-    numbers = [pd.to_numeric(frame.iloc[:, k], errors="coerce").to_numpy(dtype=float) for k in range(len(header))]
-    values = {name: column for name, column in zip(header, numbers, strict=True) if np.isfinite(column).any()}
+    header, numbers = read_numbers(path)
+    values = {name: column for name, column in zip(header, numbers.T, strict=True) if np.isfinite(column).any()}
     if not values:
         raise RecordingError(path, None, None, "there is no column of numbers", "a header line, then rows of numbers")
     return _CsvFile(path, header, values, _recognized(values))
