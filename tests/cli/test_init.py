@@ -98,6 +98,118 @@ def test_what_is_missing_is_left_open_and_named(folder: Path, capsys: pytest.Cap
     assert run(capsys, "check", folder / "experiment.toml", "-q")[0] == 0
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ["--bending-stiffness", "1.9", "--width", "0.035"],
+            "--width: given together with bending_stiffness; expected",
+        ),
+        (
+            ["--bending-stiffness", "1.9", "--width", "0.035", "--thickness", "0.0015", "--youngs-modulus", "2e11"],
+            "--youngs-modulus: given together with bending_stiffness; expected either youngs_modulus, width and",
+        ),
+        (["--hub-inertia", "0.1"], "--hub-inertia: the link is clamped and has no hub"),
+        (["--hub-inertia", "0.1", "--joint", "clamped"], "--hub-inertia: the link is clamped and has no hub"),
+        (["--name", ""], "--name: got ''; expected the experiment's name"),
+        (["--mass", "1e12"], "--mass: got 1000000000000.0; expected a finite positive number [kg]"),
+        (["--gravity", "0", "1e9"], "--gravity: item 2 is 1000000000.0; expected two finite numbers"),
+        (
+            ["--width", "1e-8", "--thickness", "1e-9", "--youngs-modulus", "1e-5"],
+            "--youngs-modulus: bending stiffness E w h^3 / 12 comes out as 8.33333e-42",
+        ),
+    ],
+)
+@pytest.mark.parametrize("length", [[], ["--length", "1"]])  # what has to be filled in does not keep it from looking
+def test_options_that_the_file_would_be_refused_for(
+    folder: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str, length: list[str]
+) -> None:
+    status, out, err = run(capsys, "init", folder, *options, *length)
+    assert (status, out) == (2, "")
+    assert message in err
+    assert not (folder / "experiment.toml").exists()
+
+
+def test_a_stiffness_may_be_that_of_the_section(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    section = ["--width", "0.03", "--thickness", "0.002", "--youngs-modulus", "7e10"]
+    rig = ["--length", "1", "--mass", "0.44", "--bending-stiffness", "1.4", *section]
+    assert run(capsys, "init", folder, *rig, "-q") == (0, "", "")
+    (link,) = load_experiment(folder / "experiment.toml").rig.links
+    assert (link.bending_stiffness, link.width, link.youngs_modulus) == (1.4, 0.03, 7e10)
+
+
+@pytest.mark.parametrize(("option", "value"), [("--thickness", 0.0015), ("--width", 0.035), ("--youngs-modulus", 2e11)])
+def test_half_a_section_leaves_the_rest_open(
+    folder: Path, capsys: pytest.CaptureFixture[str], option: str, value: float
+) -> None:
+    run(capsys, "init", folder, option, value)
+    (link,) = tomllib.loads((folder / "experiment.toml").read_text())["link"]
+    key = option[2:].replace("-", "_")
+    keys = {"width", "thickness", "youngs_modulus"}
+    assert {each: link[each] for each in keys} == {**dict.fromkeys(keys, "?"), key: value}
+    assert "bending_stiffness" not in link
+
+
+def test_markers_beyond_the_link_are_no_guess(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "init", folder, "--length", "0.5", *RIG[2:])
+    assert status == 2
+    assert "key 'markers': item 1 is '?'" in err
+    assert "distances from the camera's origin do not fit" in (folder / "experiment.toml").read_text()
+
+
+def test_a_marker_at_the_tip_is_not_rounded_beyond_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "init", folder, "--length", "0.9996", *RIG[2:], "-q") == (0, "", "")
+    assert load_experiment(folder / "experiment.toml").rig.links[0].markers[-1] == 0.9996
+
+
+def test_a_joint_that_is_clamped_has_no_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its angle and torque are left out, whatever the file calls them."""
+    hub_file(tmp_path / "a.csv", 0.2)
+    rig = ["--length", "0.5", "--mass", "0.2", "--bending-stiffness", "3", "--joint", "clamped"]
+    run(capsys, "init", tmp_path, *rig, "-q")
+    experiment = load_experiment(tmp_path / "experiment.toml")
+    assert experiment.unused_columns == ("Frame", "Motor angle (deg)", "Torque")
+    assert experiment.recordings[0].kind == "decay"
+    table = pd.read_csv(DEMO / "first_mode.csv").assign(**{"beam.theta": 0.0, "beam.tau": 0.1})
+    table.to_csv(tmp_path / "standard.csv", index=False)
+    (tmp_path / "experiment.toml").unlink()
+    run(capsys, "init", tmp_path, *RIG, "--joint", "clamped", "--csv", tmp_path / "standard.csv", "-q")
+    assert load_experiment(tmp_path / "experiment.toml").unused_columns == ("beam.theta", "beam.tau")
+
+
+def test_a_torque_without_an_angle_belongs_to_a_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pd.read_csv(DEMO / "first_mode.csv").assign(Torque=0.1).to_csv(tmp_path / "a.csv", index=False)
+    status, _, err = run(capsys, "init", tmp_path, *RIG)
+    assert status == 2
+    assert "column 'beam.theta': the column is missing; expected the angle of the active joint" in err
+
+
+def test_the_joint_that_is_given_is_the_first_links(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = 0.01 * np.arange(200)
+    columns = {"t": time, "beam.theta": np.sin(time), "tip.theta": np.cos(time)}
+    columns |= {f"{link}.m1.{axis}": np.sin(time) for link in ("beam", "tip") for axis in "xy"}
+    pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
+    run(capsys, "init", tmp_path, "--joint", "clamped")
+    rig = tomllib.loads((tmp_path / "experiment.toml").read_text())
+    assert [link["joint"] for link in rig["link"]] == ["clamped", "revolute"]
+
+
+def test_a_recording_is_named_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = folder / "first_mode.csv"
+    status, _, err = run(capsys, "init", folder, *RIG, "--csv", file, file)
+    assert status == 2
+    assert "the same file is recording[1], of role 'train'" in err
+    assert not (folder / "experiment.toml").exists()
+
+
+def test_a_folder_may_be_a_link(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "far" / "away").mkdir(parents=True)
+    (folder / "near").symlink_to(folder / "far" / "away")
+    file = folder / "first_mode.csv"
+    assert run(capsys, "init", folder / "near", *RIG, "--csv", file, "-q") == (0, "", "")
+    assert load_experiment(folder / "near" / "experiment.toml").recordings[0].file == "../../first_mode.csv"
+
+
 def test_it_overwrites_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "experiment.toml").write_text("mine")
     status, out, err = run(capsys, "init", folder, *RIG)

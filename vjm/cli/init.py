@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.prompt import InvalidResponse, Prompt, PromptBase
 
-from vjm.errors import InputError
+from vjm.errors import ExperimentError, InputError
 from vjm.experiment.conventions import FACTORS
 from vjm.experiment.proposal import ExperimentProposal, propose
 from vjm.files import FolderError, write_text
@@ -34,7 +34,7 @@ def init(arguments: argparse.Namespace, ask: bool) -> tuple[Path, list[str]]:
 
     Raises:
         FolderError: there is an experiment file already, or none can be written.
-        InputError: there is no CSV file, or one cannot be used.
+        InputError: there is no CSV file, one cannot be used, or what was given contradicts itself.
     """
     folder: Path = arguments.folder
     target = folder / _FILE
@@ -53,6 +53,13 @@ def init(arguments: argparse.Namespace, ask: bool) -> tuple[Path, list[str]]:
     proposal = replace(propose(folder, paths), given=options)
     if ask:
         proposal = _ask(proposal, Console(stderr=True))
+    try:
+        proposal.check(target)
+    except ExperimentError as error:
+        if error.key not in proposal.given:
+            raise
+        option = error.key.replace("_", "-")
+        raise InputError(f"--{option}: {error.problem}; expected {error.expected}") from error
     write_text(target, proposal.text())
     return target, proposal.missing
 
@@ -102,9 +109,11 @@ def _ask(proposal: ExperimentProposal, console: Console) -> ExperimentProposal:
             answers.update({} if value is None else {key: value})
 
     if "joint" not in answers:
-        guess = "revolute" if proposal.is_revolute(link) else "clamped"
         answers["joint"] = Prompt.ask(
-            f"Joint at {link}'s proximal end", console=console, choices=["revolute", "clamped"], default=guess
+            f"Joint at {link}'s proximal end",
+            console=console,
+            choices=["revolute", "clamped"],
+            default=proposal.joint(link)[0],
         )
     number("length", f"Length of {link} \\[m]")
     number("mass", f"Mass of {link} \\[kg]")

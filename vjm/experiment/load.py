@@ -92,7 +92,34 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         file = Path(path)
     except TypeError as error:
         raise ExperimentError(None, "", "", f"got {shown(path)}", "the path of an experiment file (TOML)") from error
-    document = _read_toml(file)
+    document = parse_document(file, _read_toml(file))
+    rig, conventions, files = described(file, document)
+    all_columns: dict[str, None] = {}  # header names of all files, in order
+    recordings = [
+        _read_recording(sources, table, rig, conventions, all_columns)
+        for sources, table in zip(files, document["recording"], strict=True)
+    ]
+    for standard, header in conventions.columns.items():
+        if header not in all_columns and standard not in all_columns:
+            hint = suggestion(header, all_columns)
+            problem = f"no recording has a column {shown(header)}{hint}"
+            raise ExperimentError(file, "columns", standard, problem, "the name in the files' header")
+    known = {*known_columns(rig, "xyz"), *conventions.columns.values()}
+    return Experiment(
+        rig, tuple(recordings), file, conventions, tuple(name for name in all_columns if name not in known)
+    )
+
+
+def described(file: Path, document: dict[str, Any]) -> tuple[Rig, Conventions, list[list[Path]]]:
+    """Return what an experiment file says: the arm, what recorded numbers mean, and the files; no recording is read.
+
+    Args:
+        file: the experiment file, relative to which recordings are found.
+        document: its tables.
+
+    Raises:
+        ExperimentError: a key is unknown, missing or has the wrong value, or contradicts another.
+    """
     try:
         _FILE.model_validate(document)
     except ValidationError as error:
@@ -115,21 +142,7 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         raise ExperimentError(file, "camera", "", problem, 'no [camera], or markers_frame = "base"')
     columns = _renamed_columns(file, document.get("columns", {}), rig, camera)
     conventions = Conventions(Units(**document.get("units", {})), camera, columns)
-    files = _recording_files(file, document)
-    all_columns: dict[str, None] = {}  # header names of all files, in order
-    recordings = [
-        _read_recording(sources, table, rig, conventions, all_columns)
-        for sources, table in zip(files, document["recording"], strict=True)
-    ]
-    for standard, header in columns.items():
-        if header not in all_columns and standard not in all_columns:
-            hint = suggestion(header, all_columns)
-            problem = f"no recording has a column {shown(header)}{hint}"
-            raise ExperimentError(file, "columns", standard, problem, "the name in the files' header")
-    known = {*known_columns(rig, "xyz"), *columns.values()}
-    return Experiment(
-        rig, tuple(recordings), file, conventions, tuple(name for name in all_columns if name not in known)
-    )
+    return rig, conventions, _recording_files(file, document)
 
 
 def _renamed_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera) -> dict[str, str]:
@@ -158,15 +171,19 @@ def _renamed_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera
     return columns
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
+def _read_toml(file: Path) -> bytes:
     try:
-        raw = read_file(file)
+        return read_file(file)
     except FileNotFoundError as error:
         raise ExperimentError(file, "", "", "there is no such file", "an experiment file (TOML)") from error
     except IsADirectoryError as error:
         raise ExperimentError(file, "", "", "this is a directory", "the experiment file (TOML) itself") from error
     except OSError as error:
         raise ExperimentError(file, "", "", f"cannot be read ({error.strerror})", "a readable file") from error
+
+
+def parse_document(file: Path, raw: bytes) -> dict[str, Any]:
+    """Return the tables of an experiment file's content; raise an `ExperimentError` where it is not valid TOML."""
     try:
         return tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError as error:

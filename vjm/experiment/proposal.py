@@ -18,13 +18,20 @@ from jinja2 import Environment, StrictUndefined
 from vjm.errors import RecordingError, printable
 from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS, Array
-from vjm.experiment.load import read_numbers
+from vjm.experiment.load import described, parse_document, read_numbers
 
 # Stands where a number has to be filled in: no key takes a text there, so that reading the file names it.
 _UNKNOWN = "?"
 
+# A steel ruler: with the width, thickness or modulus of any other arm, its own give a bending stiffness in bounds.
+_RULER = {
+    **{"length": 1.0, "mass": 0.2, "bending_stiffness": 2.0},
+    **{"width": 0.03, "thickness": 1e-3, "youngs_modulus": 2e11},
+}
+
 _STANDARD = re.compile(r"(?P<link>[A-Za-z0-9_]+)\.(?:theta|tau|m(?P<number>[1-9][0-9]*)\.(?P<axis>[xyz]))")
 _COORDINATE = re.compile(r"(?P<marker>.*?)[\s._:-]*(?P<axis>[xyzXYZ])(?P<unit>\W.*)?")
+_DRIVE = ("theta", "tau")
 _WORDS = {
     "t": re.compile(r"t|time.*|timestamp.*|seconds", re.IGNORECASE),
     "theta": re.compile(r".*(theta|angle|encoder).*", re.IGNORECASE),
@@ -112,10 +119,22 @@ class ExperimentProposal:
                 counts[match["link"]] = max(counts.get(match["link"], 0), int(match["number"] or 0))
         return {link: count for link, count in counts.items() if count} or {"beam": 0}
 
-    def is_revolute(self, link: str) -> bool:
-        """Return True if the angle of the link's proximal joint was measured."""
-        columns = [file.column(f"{link}.theta") for file in self._all_files]
-        return any(values is not None and np.isfinite(values).any() for values in columns)
+    def joint(self, link: str) -> tuple[str, str]:
+        """Return the joint at the link's proximal end, and why it is thought to be so."""
+        if "joint" in self.given and link == next(iter(self.links)):
+            return self.given["joint"], "as given"
+        driven = any(file.column(f"{link}.{quantity}") is not None for file in self._all_files for quantity in _DRIVE)
+        return (
+            ("revolute", "guessed: there is an angle or a torque")
+            if driven
+            else ("clamped", "guessed: there is no angle and no torque")
+        )
+
+    @cached_property
+    def _surplus(self) -> set[str]:
+        """Angles and torques of joints that are clamped, by their documentation's names."""
+        clamped = (link for link in self.links if self.joint(link)[0] == "clamped")
+        return {f"{link}.{quantity}" for link in clamped for quantity in _DRIVE}
 
     @cached_property
     def units(self) -> dict[str, tuple[str, str]]:
@@ -135,7 +154,7 @@ class ExperimentProposal:
                 return unit, f"the column {header_name!r} says so"
         if quantity == "time":
             return self._guess_time()
-        largest = _largest_value(self._all_files, *endings)
+        largest = _largest_value(column for file in self._all_files for column in file.ending(*endings).values())
         usual = {"length": 0.5, "angle": np.pi, "torque": 1.0}[quantity]  # m, rad, N m: arms that stand on a table
         choices: tuple[str, ...] = {"length": ("m", "mm"), "angle": ("rad", "deg"), "torque": ("N m", "N mm")}[quantity]
         if largest is None:
@@ -174,31 +193,28 @@ class ExperimentProposal:
     @cached_property
     def columns(self) -> dict[str, str]:
         """The files' names of columns by the documentation's, where they differ or some are not used."""
-        names = {
-            standard: header_name
-            for file in self._all_files
-            for header_name, standard in file.names.items()
-            if standard != header_name
-        }
-        surplus = any(len(file.names) < len(file.header) for file in self._all_files)
+        pairs = [(file.names.get(header_name), header_name) for file in self._all_files for header_name in file.header]
+        names = {name: header_name for name, header_name in pairs if name and name not in {header_name, *self._surplus}}
+        surplus = any(name is None or name in self._surplus for name, _ in pairs)
         unused = any(name[-1] not in self.axes for file, _ in self.files for name in file.ending(".x", ".y", ".z"))
         return names or ({"t": "t"} if surplus or (unused and self.axes == ("x", "y")) else {})
 
     def arcs(self, link: str) -> tuple[float, ...] | None:
         """Return the median distances of a first link's markers from the camera's origin [m]; None if no arc lengths.
 
-        They are if the camera's origin is the base's and the link bends little.
+        They are if the camera's origin is the base's and the link bends little; beyond the link's length they are not.
         """
         factor, distances = FACTORS["length"][self.units["length"][0]], []
         for k in range(1, self.links[link] + 1):
             pairs = [[file.column(f"{link}.m{k}.{axis}") for axis in self.axes] for file, _ in self.files]
             radii = [np.hypot(x, y) for x, y in pairs if x is not None and y is not None]
             distances.append(factor * float(np.nanmedian(np.concatenate(radii))) if radii else 0.0)
-        length = self.given.get("length")
-        if isinstance(length, float):  # the outermost marker is often at the very end
-            distances = [min(distance, length) if distance < 1.05 * length else distance for distance in distances]
+        length = self.given.get("length", np.inf)
         arcs = tuple(float(f"{distance:.3g}") for distance in distances)
-        return arcs if next(iter(self.links)) == link and np.all(np.diff([0.0, *arcs]) > 0) else None
+        # the outermost marker is often at the very end
+        arcs = tuple(min(arc, length) if arc < 1.05 * length else arc for arc in arcs)
+        fits = np.all(np.diff([0.0, *arcs]) > 0) and arcs[-1] <= length
+        return arcs if next(iter(self.links)) == link and fits else None
 
     @cached_property
     def recordings(self) -> tuple[_ProposedRecording, ...]:
@@ -208,14 +224,16 @@ class ExperimentProposal:
         held_out = moving[-1] if len(moving) > 1 else None
         proposed = []
         for k, ((file, motors), (kind, reason)) in enumerate(zip(self.files, kinds, strict=True)):
-            names = [os.path.relpath(source.path, self.folder) for source in (file, motors) if source is not None]
+            names = [_relative(source.path, self.folder) for source in (file, motors) if source is not None]
             role = "holdout" if k == held_out else "train"
-            motors_file = Path(names[1]).as_posix() if motors else None
-            proposed.append(_ProposedRecording(Path(names[0]).as_posix(), motors_file, kind, role, reason))
+            proposed.append(_ProposedRecording(names[0], names[1] if motors else None, kind, role, reason))
         return tuple(proposed)
 
     def _kind(self, file: _CsvFile, motors: _CsvFile | None) -> tuple[str, str]:
-        largest = _largest_value([source for source in (file, motors) if source is not None], ".tau")
+        torques = [source.ending(".tau") for source in (file, motors) if source is not None]
+        largest = _largest_value(
+            column for columns in torques for name, column in columns.items() if name not in self._surplus
+        )
         if largest:
             return "driven", f"guessed: the torque reaches {largest:.4g} {self.units['torque'][0]}"
         factor = FACTORS["length"][self.units["length"][0]]
@@ -236,10 +254,35 @@ class ExperimentProposal:
         template = resources.files("vjm.experiment").joinpath("experiment.toml.jinja").read_text(encoding="utf-8")
         return environment.from_string(template).render(proposal=self, given=self.given, unknown=_UNKNOWN)
 
+    def check(self, file: Path) -> None:
+        """Refuse what the experiment file would be refused for, but for what has to be filled in and for recordings.
 
-def _largest_value(files: Iterable[_CsvFile], *endings: str) -> float | None:
-    """Return the largest absolute number of the columns with one of these endings; None where there are none."""
-    columns = [column for file in files for column in file.ending(*endings).values()]
+        Raises:
+            ExperimentError: as `load_experiment` does.
+        """
+        document = parse_document(file, self.text().encode())
+        document["link"] = [_filled_in(link) for link in document["link"]]
+        described(file, document)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a file's path from a folder, either of which may be reached by symbolic links."""
+    return Path(os.path.relpath(path.parent.resolve() / path.name, folder.resolve())).as_posix()
+
+
+def _filled_in(link: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a link's table with numbers that contradict no other in place of those that have to be filled in."""
+    table: dict[str, Any] = {key: _RULER[key] if value == _UNKNOWN else value for key, value in link.items()}
+    count = len(table["markers"])
+    if _UNKNOWN in table["markers"]:
+        table["markers"] = [table["length"] * k / count for k in range(1, count + 1)]
+    elif link["length"] == _UNKNOWN:
+        table["length"] = table["markers"][-1]
+    return table
+
+
+def _largest_value(columns: Iterable[Array]) -> float | None:
+    """Return the largest absolute number of some columns (T,); None where there are none."""
     return max((float(np.nanmax(np.abs(column))) for column in columns), default=None)
 
 
