@@ -178,6 +178,22 @@ def test_a_name_that_no_file_has(tmp_path: Path) -> None:
         load_experiment(write_experiment(tmp_path, toml))
 
 
+def test_a_name_that_no_file_has_beside_the_documentations_own(tmp_path: Path) -> None:
+    """It does nothing: the files call the column as the documentation does."""
+    with pytest.raises(ExperimentError) as caught:
+        load_experiment(write_experiment(tmp_path, TOML + '[columns]\n"arm.m1.x" = "Elbow X"\n'))
+    assert (caught.value.table, caught.value.key) == ("columns", "arm.m1.x")
+    expected = (
+        "no recording has a column 'Elbow X'; expected one of the files' columns: t, arm.theta, arm.tau, arm.m1.x"
+    )
+    assert expected in str(caught.value)
+
+
+def test_one_file_may_have_the_documentations_own_name(tmp_path: Path) -> None:
+    text = csv_text(DRIVEN, rows(DRIVEN)).replace("arm.m1.x", "Elbow X", 1)
+    load_driven(tmp_path, TOML + '[columns]\n"arm.m1.x" = "Elbow X"\n', text)
+
+
 def test_a_camera_of_markers_in_their_links_frames(tmp_path: Path) -> None:
     toml = TOML.replace("markers = [0.25, 0.5, 1.0]", 'markers = [0.25, 0.5, 1.0]\nmarkers_frame = "link"') + CAMERA
     with pytest.raises(ExperimentError, match=r'\[camera\].*markers_frame = "link".*expected no \[camera\]'):

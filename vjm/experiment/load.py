@@ -100,10 +100,10 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         for sources, table in zip(files, document["recording"], strict=True)
     ]
     for standard, header in conventions.columns.items():
-        if header not in all_columns and standard not in all_columns:
-            hint = suggestion(header, all_columns)
-            problem = f"no recording has a column {shown(header)}{hint}"
-            raise ExperimentError(file, "columns", standard, problem, "the name in the files' header")
+        if header not in all_columns:
+            problem = f"no recording has a column {shown(header)}{suggestion(header, all_columns)}"
+            expected = f"one of the files' columns: {', '.join(all_columns)}"
+            raise ExperimentError(file, "columns", standard, problem, expected)
     known = {*known_columns(rig, "xyz"), *conventions.columns.values()}
     return Experiment(
         rig, tuple(recordings), file, conventions, tuple(name for name in all_columns if name not in known)
