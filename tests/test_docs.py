@@ -48,6 +48,10 @@ def commands(text: str = README) -> list[str]:
 def demo_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The current folder holds the demo as `my_beam`, which is identified once."""
     shutil.copytree(DEMO, tmp_path / "my_beam")
+    header, rows = (DEMO / "first_mode.csv").read_text(encoding="utf-8").split("\n", 1)
+    rows = rows.replace(",", ";").replace(".", ",")
+    export = f"Länge;mm\n\nKamera;1\n{header.replace(',', ';')}\n{rows}"
+    (tmp_path / "export.txt").write_text(export, encoding="latin-1")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(vjm, "identify", lambda experiment: _identified())
     return tmp_path
@@ -142,6 +146,16 @@ def test_tables_for_own_recordings_are_valid(tmp_path: Path) -> None:
     assert recording.markers[0, 0] == pytest.approx([0.1 + 0.10, -0.02])
     assert recording.tau[3, 0] == pytest.approx(0.1)
     assert recording.theta[3, 0] == pytest.approx(0.02)
+
+
+def test_a_file_of_another_format_is_converted(demo_folder: Path) -> None:
+    test_python_code_of_the_documentation_runs(ROOT / "docs" / "how-to" / "your-data.md", demo_folder)
+    file = demo_folder / "my_beam" / "experiment.toml"
+    first = vjm.load_experiment(file).recordings
+    file.write_text(file.read_text(encoding="utf-8").replace("first_mode.csv", "export.csv"), encoding="utf-8")
+    converted = vjm.load_experiment(file).recordings
+    assert [each.file for each in converted] != [each.file for each in first]
+    assert [each.markers.tolist() for each in converted] == [each.markers.tolist() for each in first]
 
 
 def test_every_vjm_command_is_one_that_vjm_takes() -> None:

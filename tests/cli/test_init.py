@@ -222,7 +222,9 @@ def test_folders_and_files_that_will_not_do(tmp_path: Path, capsys: pytest.Captu
     assert "there is no such folder" in run(capsys, "init", tmp_path / "none")[2]
     assert "there is no CSV file in it" in run(capsys, "init", tmp_path)[2]
     (tmp_path / "a.csv").write_text("t,force\n0,1\n1,2\n")
-    assert "a.csv: row 1: no column looks like a marker's coordinate" in run(capsys, "init", tmp_path)[2]
+    err = run(capsys, "init", tmp_path)[2]
+    assert "a.csv: row 1: no column looks like a marker's coordinate; expected names such as beam.m1.x and" in err
+    assert "Marker1_Y; for others write [columns] by hand" in err
     (tmp_path / "a.csv").write_text("name\nx\n")
     assert "no column of numbers" in run(capsys, "init", tmp_path)[2]
     (tmp_path / "a.csv").unlink()
@@ -258,6 +260,21 @@ def test_columns_of_text_are_left_out(folder: Path, capsys: pytest.CaptureFixtur
     status, out, err = run(capsys, "init", folder, *RIG)
     assert (status, err) == (0, "")
     assert "not used: Quality" in out
+
+
+def test_names_are_recognized_as_documented(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = 0.01 * np.arange(200)
+    names = ["Seconds", "Marker1_X", "Marker1_Y", "tip x (mm)", "tip z (mm)", "Encoder 1", "Motor torque", "Angle 2"]
+    pd.DataFrame({name: np.sin(time + k) + time for k, name in enumerate(names)}).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    run(capsys, "init", tmp_path)
+    columns = tomllib.loads((tmp_path / "experiment.toml").read_text())["columns"]
+    assert list(columns.items()) == [
+        *(("t", "Seconds"), ("beam.m1.x", "Marker1_X"), ("beam.m1.y", "Marker1_Y")),
+        *(("beam.m2.x", "tip x (mm)"), ("beam.m2.z", "tip z (mm)")),
+        *(("beam.theta", "Encoder 1"), ("beam.tau", "Motor torque")),
+    ]
 
 
 def test_names_of_files_and_columns_may_be_odd(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

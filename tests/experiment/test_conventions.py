@@ -189,6 +189,23 @@ def test_a_name_that_no_file_has_beside_the_documentations_own(tmp_path: Path) -
     assert expected in str(caught.value)
 
 
+def test_a_name_that_its_file_has_not(tmp_path: Path) -> None:
+    text = csv_text(DRIVEN, rows(DRIVEN)).replace("arm.m1.x", "Elbow X", 1).replace("arm.m1.y", "Elbow Y", 1)
+    toml = TOML + '[columns]\n"arm.m1.x" = "Elbov X"\n"arm.m1.y" = "Elbow Y"\n'
+    with pytest.raises(
+        RecordingError, match=r"'Elbov X': the column is missing, did you mean 'Elbow X'\?; expected both"
+    ):
+        load_driven(tmp_path, toml, text)
+
+
+@pytest.mark.parametrize(("table", "has_remedy"), [("", True), ('t = "t"', True), ('"arm.m1.x" = "Elbow X"', False)])
+def test_columns_are_the_remedy_until_they_are_used(tmp_path: Path, table: str, has_remedy: bool) -> None:
+    text = csv_text(DRIVEN, rows(DRIVEN)).replace("arm.m1.x", "Elbow", 1)
+    with pytest.raises(RecordingError) as caught:
+        load_driven(tmp_path, f"{TOML}[columns]\n{table}\n", text)
+    assert ("in [columns]" in str(caught.value)) is has_remedy
+
+
 def test_one_file_may_have_the_documentations_own_name(tmp_path: Path) -> None:
     text = csv_text(DRIVEN, rows(DRIVEN)).replace("arm.m1.x", "Elbow X", 1)
     load_driven(tmp_path, TOML + '[columns]\n"arm.m1.x" = "Elbow X"\n', text)

@@ -286,8 +286,12 @@ def _read_recording(
         lacking = [csv_table for csv_table in tables if column not in csv_table.values]
         if len(lacking) == len(tables) or (lacking and column == "t"):  # times are needed in each file
             source = lacking[-1] if column.endswith((".theta", ".tau")) else lacking[0]
-            name = conventions.name_in_files(column)
-            raise RecordingError(source.file, 1, name, "the column is missing", expected)
+            name, problem = conventions.name_in_files(column), "the column is missing"
+            if column in conventions.columns:
+                problem += suggestion(name, [each for each in all_columns if each not in conventions.columns.values()])
+            else:
+                expected += ", or the file's name for it in [columns]"
+            raise RecordingError(source.file, 1, name, problem, expected)
     fields = {key: value for key, value in table.items() if key != "motors_file"}
     return _to_recording(_merged(tables, conventions), tables, fields, rig, conventions)
 
@@ -304,7 +308,8 @@ def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dic
         check_known_columns(file, [name for name, use in zip(names, used, strict=True) if use], rig, 1, letters)
     except RecordingError as error:
         column = conventions.name_in_files(error.column or "")
-        raise RecordingError(file, 1, column, error.problem, error.expected) from error
+        remedy = "" if conventions.columns or error.column in known else ", or the file's own names in [columns]"
+        raise RecordingError(file, 1, column, error.problem, error.expected + remedy) from error
     numbers, lines = _parse(file, header, body, used)
     columns = [(name, column) for name, use, column in zip(names, used, numbers.T, strict=True) if use]
     return _Table(file, dict(columns), lines)

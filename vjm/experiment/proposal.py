@@ -352,7 +352,9 @@ def propose(folder: Path, paths: Sequence[Path]) -> ExperimentProposal:
             continue
         stems = [candidate for candidate in markers if file.path.stem.startswith(candidate.path.stem)]
         if not stems or not file.names:
-            expected = "columns such as beam.m1.x and beam.m1.y, or Marker1_X and Marker1_Y"
+            expected = (
+                "names such as beam.m1.x and beam.m1.y, or Marker1_X and Marker1_Y; for others write [columns] by hand"
+            )
             raise RecordingError(file.path, 1, None, "no column looks like a marker's coordinate", expected)
         motors[max(stems, key=lambda candidate: len(candidate.path.stem)).path] = file
     return ExperimentProposal(folder, tuple((file, motors.get(file.path)) for file in markers))
