@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import approx_fprime, least_squares, lsq_linear
@@ -32,7 +33,34 @@ class _TorqueProblem:
 
     def torque_residuals(self, x: Array) -> list[Array]:
         """Return the noise-weighted torque errors (S, r) of each recording at x (p,), weights belonging to x."""
-        return self.data.weighted_errors(self.parametrisation.chain(x))
+        return self._weighted(x, x)
+
+    def _weighted(self, x: Array, weighting: Array) -> list[Array]:
+        """Return the torque errors (S, r) of each recording at x (p,) over their noise at other coordinates (p,)."""
+        chain = self.parametrisation.chain(weighting)
+        if not self.parametrisation.linear.all():
+            return self.data.weighted_errors(self.parametrisation.chain(x), chain)
+        with_one, weighting_with_one = np.r_[1.0, x], np.r_[1.0, weighting]
+        return [
+            prepared.over_noise(np.tensordot(with_one, errors, 1), chain, np.tensordot(weighting_with_one, inertias, 1))
+            for prepared, (errors, inertias) in zip(self.data.prepared, self._linear_terms, strict=True)
+        ]
+
+    @cached_property
+    def _linear_terms(self) -> list[tuple[Array, Array]]:
+        """For each recording, torque errors (1 + p, S, r) and inertia (1 + p, nv, nv): constant, and by coordinate.
+
+        Both are linear in stiffness, damping and hub inertia: one batched RNEA a coordinate does for the whole search.
+        """
+        chains = [self.parametrisation.chain(x) for x in np.eye(1 + len(self.parametrisation.coordinates))[:, 1:]]
+        terms = []
+        for prepared in self.data.prepared_for(chains[0]):
+            errors = np.stack([prepared.determined_errors(chain) for chain in chains])
+            inertias = np.stack([prepared.inertia(chain) for chain in chains])
+            errors[1:] -= errors[0]
+            inertias[1:] -= inertias[0]
+            terms.append((errors, inertias))
+        return terms
 
     def vector(self, x: Array) -> Array:
         """Return all residuals to minimise: torque errors, frequencies (section 6.5), and the preference."""
@@ -63,6 +91,7 @@ class _TorqueProblem:
             vector,
             np.clip(start, lower + NEAREST_TO_BOUND, upper),
             bounds=(lower, upper),
+            jac="3-point" if self.parametrisation.linear.all() else "2-point",  # the former is cheap then
             x_scale="jac",
             ftol=1e-10,
             xtol=1e-10,
@@ -79,16 +108,14 @@ class _TorqueProblem:
 
     def _linear_solution(self) -> Array:
         """Solve for uniform links under the template's weights, in which their torque errors are linear."""
-        parametrisation = self.parametrisation
+        start = self.parametrisation.start
 
         def vector(x: Array) -> Array:
-            errors = self.data.weighted_errors(parametrisation.chain(x), parametrisation.template)
-            return np.concatenate([part.ravel() for part in errors])
+            return np.concatenate([part.ravel() for part in self._weighted(x, start)])
 
-        count = len(parametrisation.coordinates)
-        constant = vector(np.zeros(count))
-        matrix = np.stack([vector(unit) - constant for unit in np.eye(count)], axis=1)  # exact, as they are linear
-        return np.asarray(lsq_linear(matrix, -constant, bounds=parametrisation.bounds).x)
+        constant = vector(np.zeros(start.size))
+        matrix = np.stack([vector(unit) - constant for unit in np.eye(start.size)], axis=1)  # exact, as they are linear
+        return np.asarray(lsq_linear(matrix, -constant, bounds=self.parametrisation.bounds).x)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -47,17 +48,28 @@ class PreparedRecording(Record):
 
     def weighted_errors(self, chain: Chain, weighting: Chain) -> Array:
         """Return torque errors (S, r), away from the ends, in the rows determined, in units of `weighting`'s noise."""
-        covariance = self.rows.T @ self.noise_covariance(weighting) @ self.rows
+        return self.over_noise(self.determined_errors(chain), weighting, self.inertia(weighting))
+
+    def determined_errors(self, chain: Chain) -> Array:
+        """Return torque errors (S, r), away from the ends, in the rows determined [N m]."""
+        return np.asarray(np.nan_to_num(self.errors(chain, self.derivatives.interior)) @ self.rows)
+
+    def over_noise(self, errors: Array, chain: Chain, inertia: Array) -> Array:
+        """Return torque errors (S, r) in units of the noise that a chain of given `inertia` (nv, nv) gives them."""
+        covariance = self.rows.T @ self.noise_covariance(chain, inertia) @ self.rows
         ridge = 1e-12 * np.trace(covariance)  # keeps exact data's covariance invertible
         noise_factor = cholesky(covariance + ridge * np.eye(len(covariance)), lower=True)
-        errors = np.nan_to_num(self.errors(chain, self.derivatives.interior)) @ self.rows
         return np.asarray(solve_triangular(noise_factor, errors.T, lower=True).T)
 
-    def noise_covariance(self, chain: Chain) -> Array:
+    def inertia(self, chain: Chain) -> Array:
+        """Return a chain's mass matrix (nv, nv) at the mean angles of the instants used [kg m^2]."""
+        mechanism = Mechanism(chain, self.recording.payload, self.recording.gravity)
+        mean = self.derivatives.value[self.derivatives.interior].mean(axis=0)
+        return np.asarray(mechanism.mass_matrix(mean[None])[0])
+
+    def noise_covariance(self, chain: Chain, inertia: Array) -> Array:
         """Return the covariance (nv, nv) that the noise of the angles gives a chain's torque errors [N^2 m^2]."""
         derivatives, noise = self.derivatives, self.angles.covariance
-        mechanism = Mechanism(chain, self.recording.payload, self.recording.gravity)
-        inertia = mechanism.mass_matrix(derivatives.value[derivatives.interior].mean(axis=0)[None])[0]
         terms = [np.diag(chain.stiffness), np.diag(chain.damping), inertia]
         pairs = [(i, j) for i in range(3) for j in range(3)]
         covariance = np.asarray(sum(derivatives.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
@@ -122,8 +134,7 @@ class TrainingData:
     recordings: tuple[Recording, ...]  # without coordinates that cannot be right
     prepared: tuple[PreparedRecording, ...] = ()  # those that the torque method can use
     problems: tuple[str, ...] = ()  # why it cannot use the others, a sentence each
-    modes: tuple[MeasuredModes, ...] = ()  # of prepared recordings that have the commonest payload, in order
-    payload: float = 0.0  # that payload [kg]
+    payload: float = 0.0  # the commonest one of prepared recordings [kg]
 
     @classmethod
     def of(
@@ -167,10 +178,7 @@ class TrainingData:
         return cls(rig, parameters, layout, cuts, joints, shape, derivatives, noise, recordings)._with_prepared()
 
     def _with_prepared(self) -> Self:
-        """Return the data with recordings prepared, and the modes of those with the commonest payload.
-
-        Frequencies are compared among recordings with the same payload only.
-        """
+        """Return the data with recordings prepared."""
         prepared, problems = [], []
         for recording in self.recordings:
             try:
@@ -179,15 +187,19 @@ class TrainingData:
                 problems.append(str(error))
         payloads = [p.recording.payload for p in prepared] or [recording.payload for recording in self.recordings]
         payload = max(sorted(set(payloads)), key=payloads.count)
-        mode_count = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
-        data = replace(self, prepared=tuple(prepared), problems=tuple(problems), payload=payload)
-        return replace(data, modes=tuple(p.modes(self.noise[0], mode_count) for p in data.freely_moving))
+        return replace(self, prepared=tuple(prepared), problems=tuple(problems), payload=payload)
 
     @property
     def freely_moving(self) -> tuple[PreparedRecording, ...]:
         """Recordings in which the arm has the modes of the model: with the commonest payload, and no motion given."""
         same_payload = [prepared for prepared in self.prepared if prepared.recording.payload == self.payload]
         return tuple(prepared for prepared in same_payload if prepared.recording.input == "torque")
+
+    @cached_property
+    def modes(self) -> tuple[MeasuredModes, ...]:
+        """Modes that each of the `freely_moving` recordings shows: frequencies are compared at one payload only."""
+        count = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
+        return tuple(prepared.modes(self.noise[0], count) for prepared in self.freely_moving)
 
     def driven_hubs(self, recordings: Sequence[Recording]) -> tuple[int, ...]:
         """Return the links whose hub inertia shows: their active joint's torque was measured in a recording."""

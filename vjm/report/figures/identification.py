@@ -456,7 +456,7 @@ def _torque_errors(fit: Identification) -> Figure:
     data, joint = recordings[worst], int(np.argmax(largest[worst]))
     before, after = _rms(np.concatenate(nominal)), _rms(np.concatenate(identified))
     samples = [data.derivatives.time.size for data in recordings]
-    variances = [np.diag(data.noise_covariance(chain)) for data in recordings]
+    variances = [np.diag(data.noise_covariance(chain, data.inertia(chain))) for data in recordings]
     noise = np.sqrt(np.average(variances, axis=0, weights=samples))
     total = [f"{number(1e3 * float(np.sqrt(np.nansum(rms**2))), 2)} mN m" for rms in (before, after, noise)]
     title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, expected "
