@@ -287,13 +287,15 @@ def stiffly_driven(ratio: float, second: float, count: int) -> Experiment:
 
     def moved(recording: Recording) -> Recording:
         turn = 0.01 * np.sin(2 * np.pi * 4.0 * recording.time)
-        tilt = turn[:, None] * (1.0 + ratio * (arc - arc**2 / 2))  # a cantilever that bends under a force at its tip
-        faster = second * np.sin(2 * np.pi * 11.0 * recording.time)[:, None]  # its second mode, which no swing repeats
+        seen = np.isfinite(recording.markers).all(axis=(1, 2))
+        # A cantilever that bends under a force at its tip, and its second mode, which no swing repeats.
+        tilt = turn[seen, None] * (1.0 + ratio * (arc - arc**2 / 2))
+        faster = second * np.sin(2 * np.pi * 11.0 * recording.time[seen])[:, None]
         tilt = tilt + faster * (arc - 1.5 * arc**2)
         steps = link.length * np.stack([np.cos(tilt), np.sin(tilt)], axis=2) * (arc[1] - arc[0])
-        markers = np.cumsum(steps, axis=1)[:, rows]
-        seen = np.isfinite(recording.markers).all(axis=(1, 2))
-        return replace(recording, theta=turn[:, None], markers=np.where(seen[:, None, None], markers, np.nan))
+        markers = np.full((turn.size, count, 2), np.nan)
+        markers[seen] = np.cumsum(steps, axis=1)[:, rows]
+        return replace(recording, theta=turn[:, None], markers=markers)
 
     recordings = tuple(moved(one) for one in experiment.recordings[:3])
     return replace(experiment, rig=replace(experiment.rig, links=(link,)), recordings=recordings)

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
-from scipy.optimize import approx_fprime, least_squares
+from scipy.optimize import least_squares
 from scipy.signal import lfilter, periodogram
 
 from vjm.experiment.checks import DEFAULT_NOISE
@@ -81,6 +81,9 @@ def white_noise(samples: Array) -> float:
     return float(np.sqrt(np.quantile(power, low) / -np.log(1 - low)))
 
 
+_RECENT = 16  # oscillators whose motion is kept: a step of a fit asks for that of each several times
+
+
 class Oscillators:
     """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants (T,) [s].
 
@@ -90,6 +93,7 @@ class Oscillators:
     def __init__(self, time: Array, torque: tuple[ArrayLike, ArrayLike] | None) -> None:
         self.time = time - time[0] if time.size else time
         self.inputs: list[Array] = []
+        self._recent: dict[tuple[float, float], Array] = {}
         if torque is None or time.size == 0:
             return
         knots, values = np.asarray(torque[0], dtype=float), np.asarray(torque[1], dtype=float)
@@ -100,16 +104,23 @@ class Oscillators:
             sampled = np.interp(time[0] + grid, knots, column)
             if np.ptp(sampled) > 0:
                 self.inputs.append(sampled)
+        self._before = np.minimum((self.time / self.step + 1e-9).astype(int), grid.size - 2)
+        self._since = self.time - self._before * self.step
 
     def columns(self, values: Array) -> Array:
         """Return (T, 1 + 2 m (1 + inputs)): offset, free and forced motion of m oscillators (Hz, ratio) (m, 2)."""
-        parts = [np.ones_like(self.time)]
-        for frequency, ratio in values:
+        return np.hstack([np.ones((self.time.size, 1)), *(self.motion(*row) for row in values.tolist())])
+
+    def motion(self, frequency: float, ratio: float) -> Array:
+        """Return free and forced motion (T, 2 (1 + inputs)) of one oscillator [Hz], each at most one in size."""
+        if (frequency, ratio) not in self._recent:
             pole = 2 * np.pi * frequency * (-ratio + 1j * np.sqrt(max(1 - ratio**2, 1e-12)))
-            for response in self.responses(pole).T:
-                size = max(float(np.abs(response).max()), 1e-300)
-                parts += [response.real / size, response.imag / size]
-        return np.stack(parts, axis=1)
+            responses = self.responses(pole)
+            sizes = np.maximum(np.abs(responses).max(axis=0), 1e-300)
+            if len(self._recent) == _RECENT:
+                del self._recent[next(iter(self._recent))]
+            self._recent[frequency, ratio] = responses.view(float) / np.repeat(sizes, 2)
+        return self._recent[frequency, ratio]
 
     def responses(self, pole: complex) -> Complex:
         """Return the free motion exp(pole t) of a pole [1/s] and its responses to the inputs, (T, 1 + inputs)."""
@@ -125,8 +136,7 @@ class Oscillators:
             [[0.0], lfilter([1.0], [1.0, -flow], (first - second) * signal[:-1] + second * signal[1:])]
         )
         # Between grid instants: exact propagation from the one before, with the torque frozen in its linear piece.
-        k = np.minimum((self.time / h + 1e-9).astype(int), signal.size - 2)
-        remainder = self.time - k * h
+        k, remainder = self._before, self._since
         decay = np.exp(pole * remainder)
         slope = (signal[k + 1] - signal[k]) / h
         zeroth = (decay - 1) / pole
@@ -286,12 +296,13 @@ def projected_jacobian(oscillators: Oscillators, y: Array, values: Array, basis:
     _, amplitudes = _project(columns, y)
     slopes = []
     for pair, pair_amplitudes in zip(values, np.split(amplitudes[1:], len(values)), strict=True):
-
-        def motion(x: Array, pair_amplitudes: Array = pair_amplitudes) -> Array:
-            return (oscillators.columns(x[None])[:, 1:] @ pair_amplitudes).ravel()
-
-        slopes.append(approx_fprime(pair, motion, 1e-6 * np.maximum(np.abs(pair), 1e-3)))
-    along = project_out(basis, np.hstack(slopes).reshape(len(y), -1))
+        here = oscillators.motion(*pair.tolist())
+        for k, step in enumerate(1e-6 * np.maximum(np.abs(pair), 1e-3)):
+            moved = pair.copy()
+            moved[k] += step
+            change = (oscillators.motion(*moved.tolist()) - here) / (moved[k] - pair[k])
+            slopes.append((change @ pair_amplitudes).ravel())
+    along = project_out(basis, np.stack(slopes, axis=1).reshape(len(y), -1))
     return _project(columns, along)[0].reshape(y.size, -1)
 
 

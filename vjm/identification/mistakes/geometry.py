@@ -106,33 +106,36 @@ def _best_hypothesis(experiment: Experiment, index: int, markers: Array) -> tupl
     scales |= {(name, "rig"): 1 / factor for name, factor in unit_factors("length", "m").items()}
     orders: list[tuple[int, ...]] = [(), *combinations(range(1, count + 1), 2)]
     orders += [tuple(range(count, 0, -1))] if count > 2 else []
-    results: dict[_Hypothesis, float] = {}
-    for ((unit, source), factor), order in product(scales.items(), orders):
-        places = np.arange(arcs.size)
+    places = np.tile(np.arange(arcs.size), (len(orders), 1))
+    for row, order in zip(places, orders, strict=True):
         if len(order) == 2:
-            places[list(order)] = order[::-1]
+            row[list(order)] = order[::-1]
         elif order:
-            places[1:] = order
-        nominal = np.abs(arcs[places][first] - arcs[places][second])
-        deviation = np.log(median * factor / nominal) / np.hypot(_RELATIVE, _SHARE * link.length / nominal)
-        fits = [_log_likelihood(deviation, usable, first, second)] if based else []
-        if not based or (inner.any() and link.markers_frame == "base"):
-            origin_cost = 2 * np.log(1 / _ORIGIN) if based else 0.0  # two numbers that would have to be found
-            fits.append(_log_likelihood(deviation, inner, first, second) - origin_cost)
+            row[1:] = order
+    nominal = np.abs(arcs[places[:, first]] - arcs[places[:, second]])
+    factors = np.array(list(scales.values()))[:, None, None]
+    deviation = np.log(median * factors / nominal) / np.hypot(_RELATIVE, _SHARE * link.length / nominal)
+    fits = [_log_likelihood(deviation, usable, first, second)] if based else []
+    if not based or (inner.any() and link.markers_frame == "base"):
+        origin_cost = 2 * np.log(1 / _ORIGIN) if based else 0.0  # two numbers that would have to be found
+        fits.append(_log_likelihood(deviation, inner, first, second) - origin_cost)
+    results: dict[_Hypothesis, float] = {}
+    likelihoods = np.max(fits, axis=0).ravel().tolist()
+    for ((unit, source), order), likelihood in zip(product(scales, orders), likelihoods, strict=True):
         # A mistake has to make up for the number of those that were looked for.
         cost = np.log(len(scales)) * bool(unit) + np.log(len(orders)) * bool(order)
         prior = _size_prior(arcs[-1], unit if source == "rig" else "")
-        results[_Hypothesis(order, unit, source)] = max(fits) - cost + prior
+        results[_Hypothesis(order, unit, source)] = likelihood - cost + prior
     best = max(results, key=lambda key: results[key])
     shown = inner if inner.any() else usable
     scale = float(np.median(median[shown] / np.abs(arcs[first] - arcs[second])[shown]))
     return best, results[best] - results[_Hypothesis()], scale
 
 
-def _log_likelihood(deviation: Array, chosen: Mask, first: Indices, second: Indices) -> float:
-    """Return the log-likelihood of distances between pairs of points, which hold one distance a point."""
+def _log_likelihood(deviation: Array, chosen: Mask, first: Indices, second: Indices) -> Array:
+    """Return log-likelihoods (...) of distances (..., d) between pairs of points, which hold one distance a point."""
     independent = np.unique([*first[chosen], *second[chosen]]).size - 1
-    return -0.5 * independent * float(np.mean(deviation[chosen] ** 2))
+    return np.asarray(-0.5 * independent * np.mean(deviation[..., chosen] ** 2, axis=-1))
 
 
 def _size_prior(length: float, unit: str) -> float:
