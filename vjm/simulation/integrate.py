@@ -211,42 +211,44 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         force, rates = system.further_forces(elapsed + k * step, q, v, z)
         return accelerations(q, v, springs + torque + force), rates
 
-    def stage(k: float, x: Array, z: Array, torque: Array, weights: _Weights) -> tuple[Array, Array]:
-        p = _multiply(x, weights.rate)
-        a, rates = accelerate(k, x, z, p[:, :n], torque)
-        return a - p[:, n:], rates
+    # States, and beside them the remainders of the stages: each next stage is one product with those before it.
+    y = np.concatenate([q, v, np.empty((len(q), 5 * n))], axis=1)
+    x, remainders = y[:, : 2 * n], [y[:, k * n : (k + 1) * n] for k in range(2, 7)]
+    known = [y[:, : k * n] for k in range(3, 7)]
 
-    x = np.concatenate([q, v], axis=1)
+    def stage(number: int, k: float, x: Array, z: Array, torque: Array, rate: Array) -> Array:
+        p = _multiply(x, rate)
+        a, rates = accelerate(k, x, z, p[:, :n], torque)
+        np.subtract(a, p[:, n:], out=remainders[number])
+        return rates
+
     for k in range(count):
         weights = propagator.at(x)
-        p = _multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
+        rate = weights.rate
+        p = _multiply(x, rate)
         at_once = missing[k]
         if friction is not None:
-            known = friction.torque
-            start[k][:, active] += known
+            acting = friction.torque
+            start[k][:, active] += acting
         a, z1 = accelerate(k, x, z, p[:, :n], start[k])
         if friction is not None:
             first, line = friction.over_step(x[:, n:], a, weights.response)
-            a = a + _multiply(line[0] - known, weights.response)
+            a = a + _multiply(line[0] - acting, weights.response)
             at_once = at_once + first - line[0]
             middle[k][:, active] += line[1]
             end[k][:, active] += line[2]
         record(k, x[:, :n], x[:, n:], a + _multiply(at_once, weights.response), z)
-        half, full, remainder = p[:, 2 * n : 4 * n], p[:, 4 * n :], a - p[:, n : 2 * n]
-        x2, x3, x4, x5, x = (_multiply(remainder, weights.first).reshape(len(x), 5, 2 * n)).transpose(1, 0, 2)
-        x2 = half + x2
-        remainder, z2 = stage(k + 0.5, x2, z + step / 2 * z1 if internal else z, middle[k], weights)
-        p = _multiply(remainder, weights.second)
-        x3 = half + x3 + p[:, : 2 * n]
-        remainder, z3 = stage(k + 0.5, x3, z + step / 2 * z2 if internal else z, middle[k], weights)
-        p = p[:, 2 * n :] + _multiply(remainder, weights.third)
-        x4 = full + x4 + p[:, : 2 * n]
-        remainder, z4 = stage(k + 1, x4, z + step / 2 * (z2 + z3) if internal else z, end[k], weights)
-        last = _multiply(remainder, weights.fourth)
-        x5 = half + x5 + p[:, 2 * n :] + last[:, : 2 * n]
+        np.subtract(a, p[:, n:], out=remainders[0])
+        x2 = _multiply(known[0], weights.second)
+        z2 = stage(1, k + 0.5, x2, z + step / 2 * z1 if internal else z, middle[k], rate)
+        x3 = _multiply(known[1], weights.third)
+        z3 = stage(2, k + 0.5, x3, z + step / 2 * z2 if internal else z, middle[k], rate)
+        x4 = _multiply(known[2], weights.fourth)
+        z4 = stage(3, k + 1, x4, z + step / 2 * (z2 + z3) if internal else z, end[k], rate)
+        x5 = _multiply(known[3], weights.fifth)
         z5 = z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z
-        remainder, z5 = stage(k + 0.5, x5, z5, middle[k], weights)
-        x = full + x + last[:, 2 * n :] + _multiply(remainder, weights.fifth)
+        z5 = stage(4, k + 0.5, x5, z5, middle[k], rate)
+        x[:] = _multiply(y, weights.end)
         z = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
     springs = _multiply(x, propagator.at(x).rate)[:, :n]
     torque = _of_all_joints(system, drive.ends[-1:])[0]
@@ -282,19 +284,19 @@ def _multiply(states: Array, matrices: Array) -> Array:
 
 
 class _Weights(NamedTuple):
-    """Matrices of the steps (C, ...), transposed, and side by side where they multiply the same vector.
+    """Matrices of the steps (C, ...), transposed.
 
-    The remainders of the five stages enter the rates only, so their weights are (2 nv, nv): `first` to `fifth`, for the
-    later stages and the end of the step. `response` turns active torques (n_a,) into accelerations (nv,). One copy
-    stands for all where they are equal.
+    `second` to `fifth` take a state with the remainders of the stages before, side by side, to the state at a stage,
+    and `end` to that at the end of the step. Remainders enter the rates only. `rate` takes a state to the torques of
+    springs and dampers and to the linear accelerations, `response` active torques (n_a,) to accelerations (nv,). One
+    copy stands for all where they are equal.
     """
 
-    state: Array
-    first: Array
     second: Array
     third: Array
     fourth: Array
     fifth: Array
+    end: Array
     rate: Array
     response: Array
 
@@ -431,21 +433,20 @@ class _LinearPropagator:
         (half1, half2, half3), (phi1, phi2, phi3) = ([step * phi[:, :, n:] for phi in phis] for phis in (half, full))
         late = half2 / 2 - phi3 + phi2 / 4 - half3 / 2
         last = half2 / 4 - late
-        first = (half1 / 2, half1 / 2 - half2, phi1 - 2 * phi2, half1 / 2 - 2 * late - last, phi1 - 3 * phi2 + 4 * phi3)
         return _Weights(
-            state=_side_by_side(springs, rate, half_flow, flow),
-            first=_side_by_side(*first),
-            second=_side_by_side(half2, phi2, late),
-            third=_side_by_side(phi2, late),
-            fourth=_side_by_side(last, 4 * phi3 - phi2),
-            fifth=_side_by_side(4 * phi2 - 8 * phi3),
-            rate=_side_by_side(springs, rate),
-            response=_side_by_side(inverse[:, :, self.system.active]),
+            second=_transposed(half_flow, half1 / 2),
+            third=_transposed(half_flow, half1 / 2 - half2, half2),
+            fourth=_transposed(flow, phi1 - 2 * phi2, phi2, phi2),
+            fifth=_transposed(half_flow, half1 / 2 - 2 * late - last, late, late, last),
+            end=_transposed(flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3),
+            rate=_transposed(np.concatenate([springs, rate], axis=1)),
+            response=_transposed(inverse[:, :, self.system.active]),
         )
 
 
-def _side_by_side(*matrices: Array) -> Array:
-    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=1), 1, 2))
+def _transposed(*matrices: Array) -> Array:
+    """Return matrices (C, r, ...) side by side, and transposed."""
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=2), 1, 2))
 
 
 def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array, Array]:
