@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,14 +108,16 @@ def physics_of(effects: Sequence[Planted]) -> tuple[Physics, Faults]:
 
 def perform(rig: Rig, effects: Sequence[Planted], seed: int, reference: bool = False) -> list[Shown]:
     """What perfect sensors, but for their hidden faults, would have recorded of an experiment, in the plans' order."""
+    shown = _perform(rig, *physics_of(effects), seed, reference=False)
+    return [*shown, *_perform(rig, *physics_of(()), seed, reference=True)] if reference else [*shown]
+
+
+@lru_cache(maxsize=8)  # several tests look at the same experiment, each in its own way
+def _perform(rig: Rig, physics: Physics, faults: Faults, seed: int, reference: bool) -> tuple[Shown, ...]:
+    """The same of the recordings in the reference condition, or of the others."""
     setting = setting_of(rig, seed)
-    plans = plans_of(setting, seed, reference)
-    shown: dict[str, Shown] = {}
-    for hidden, clean in ((effects, False), ((), True)):
-        chosen = [plan for plan in plans if (plan.entry.condition == "reference") is clean]
-        if chosen:
-            shown |= {each.plan.entry.file: each for each in perform_plans(setting, *physics_of(hidden), chosen)}
-    return [shown[plan.entry.file] for plan in plans]
+    plans = [plan for plan in plans_of(setting, seed, reference) if (plan.entry.condition == "reference") is reference]
+    return tuple(perform_plans(setting, physics, faults, plans))
 
 
 def perform_plans(

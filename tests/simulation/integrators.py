@@ -56,26 +56,31 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     step, count = drive.step, len(drive.start)
     time, half, accelerations = step * np.arange(count + 1.0), step / 2, system.accelerations()
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
+    active = np.stack([drive.start, drive.middle, drive.end])
+    torques = np.zeros((*active.shape[:2], *q.shape))
+    torques[..., system.active] = active
 
     def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
-        force, rates = system.further_forces(np.full(len(q), time), q, v, z)
-        force = force - system.stiffness * q - system.damping * v
-        force[:, system.active] += torque
-        return accelerations(q, v, force), rates
+        force = torque - system.stiffness * q - system.damping * v
+        if not system.has_further_forces:
+            return accelerations(q, v, force), z
+        further, rates = system.further_forces(np.full(len(q), time), q, v, z)
+        return accelerations(q, v, force + further), rates
 
-    for k in range(count):
-        middle = drive.middle[k]
-        a1, z1 = slopes(time[k], q, v, z, drive.start[k])
+    for k, (start, middle, end) in enumerate(np.moveaxis(torques, 0, 1)):
+        a1, z1 = slopes(time[k], q, v, z, start)
         path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a1, z
         q2, v2 = q + half * v, v + half * a1
         a2, z2 = slopes(time[k] + half, q2, v2, z + half * z1, middle)
         q3, v3 = q + half * v2, v + half * a2
         a3, z3 = slopes(time[k] + half, q3, v3, z + half * z2, middle)
         q4, v4 = q + step * v3, v + step * a3
-        a4, z4 = slopes(time[k + 1], q4, v4, z + step * z3, drive.end[k])
-        end = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
+        a4, z4 = slopes(time[k + 1], q4, v4, z + step * z3, end)
+        moved = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
         z = z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4)
-        q = end
-    path.q[-1], path.v[-1], path.a[-1], path.z[-1] = q, v, slopes(time[-1], q, v, z, drive.ends[-1])[0], z
+        q = moved
+    last = np.zeros(q.shape)
+    last[:, system.active] = drive.ends[-1]
+    path.q[-1], path.v[-1], path.a[-1], path.z[-1] = q, v, slopes(time[-1], q, v, z, last)[0], z
     return path
