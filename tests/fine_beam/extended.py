@@ -8,6 +8,7 @@ and last, where it moves, the table's displacement u: a point's velocity is u' d
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +75,9 @@ class Extended:
         self._set_masses()
         self.stiffness, self.bending_stiffness = self._stiffness()
         self.damping: Array = np.stack([self._damping(k) for k in range(len(self.tip_masses))])
+        # Of coordinates and rates side by side.
+        springs = np.stack([np.vstack([self.stiffness, damping]) for damping in self.damping])
+        self._springs: Array = springs[self.group] if physics.structural_damping_loss_factor else springs[:1]
 
     def _tip_heading(self) -> Array:
         """Heading of each coordinate at the tip, (n,)."""
@@ -184,8 +188,9 @@ class Extended:
 
     def fields(self, state: Array) -> Fields:
         """Heading and its rate along the beams for states (B, d)."""
-        angle = state[:, self.parts.coordinates] @ self.heading.T + self.arc
-        return Fields(np.cos(angle), np.sin(angle), state[:, self.parts.rates] @ self.heading.T)
+        both = state[:, : 2 * self.size].reshape(len(state), 2, self.size) @ self.heading.T
+        angle = both[:, 0] + self.arc
+        return Fields(np.cos(angle), np.sin(angle), both[:, 1])
 
     def accelerations(self, state: Array, time: float, torque: Array) -> Array:
         """Second derivatives (B, n) of the coordinates for torques (B,) at the joint, N m."""
@@ -204,9 +209,10 @@ class Extended:
     def forces(self, state: Array, time: float, torque: Array, along: Fields) -> Array:
         """All generalised forces (B, n) but the inertia of accelerating."""
         coordinates, rates = state[:, self.parts.coordinates], state[:, self.parts.rates]
-        force = (self._centrifugal(along) + self._loads(along, coordinates, time)) @ self.heading
-        force -= coordinates @ self.stiffness
-        force -= rates @ self.damping[0] if len(self.damping) == 1 else _rows(self.damping[self.group], rates)
+        along_links = self._centrifugal(along)
+        for load in self._loads(along, coordinates, time):
+            along_links += load
+        force = along_links @ self.heading - times(self._springs, state[:, : 2 * self.size])
         if self.parts.maxwell.stop > self.parts.maxwell.start:
             arms = self.physics.viscoelastic_creep_ratio * self.bending_stiffness[self.bending]
             force -= state[:, self.parts.maxwell] @ arms
@@ -229,20 +235,19 @@ class Extended:
             lifted = _rows(self._kernel, squared * along.sine), _rows(self._kernel, squared * along.cosine)
         return np.asarray(along.cosine * lifted[0] - along.sine * lifted[1])
 
-    def _loads(self, along: Fields, coordinates: Array, time: float) -> Array | float:
-        """What gravity, the air and the tone do to the heading at each node, N m, (B, N)."""
-        physics, loads = self.physics, np.zeros_like(along.rate)
-        if np.any(self.gravity):
-            loads += self._beyond * (self.gravity[1] * along.cosine - self.gravity[0] * along.sine)
+    def _loads(self, along: Fields, coordinates: Array, time: float) -> Iterator[Array]:
+        """What gravity, the air and the tone do to the heading at each node, N m, (B, N), where they are at all."""
+        physics = self.physics
+        if self.gravity.any():
+            yield self._beyond * (self.gravity[1] * along.cosine - self.gravity[0] * along.sine)
         linear, quadratic = physics.linear_drag_coefficient, physics.quadratic_drag_coefficient
         if linear or quadratic:
-            loads += self._drag(along, linear, quadratic)
+            yield self._drag(along, linear, quadratic)
         if physics.external_tone_amplitude:
             phase = 2.0 * np.pi * physics.external_tone_frequency * time + physics.external_tone_phase
             tip = coordinates @ self.tip_heading + physics.rest_curvature_curvature * self.beam.length
             turned = along.cosine * np.cos(tip)[:, None] + along.sine * np.sin(tip)[:, None]
-            loads += physics.external_tone_amplitude * np.sin(phase) * self.basis.weights * turned
-        return loads
+            yield physics.external_tone_amplitude * np.sin(phase) * self.basis.weights * turned
 
     def _drag(self, along: Fields, linear: float, quadratic: float) -> Array:
         """The air's resistance to the normal velocity."""
@@ -291,3 +296,10 @@ class Extended:
 def _rows(matrices: Array, vectors: Array) -> Array:
     """Each symmetric matrix (B, n, n) times its vector (B, n)."""
     return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def times(matrices: Array, rows: Array) -> Array:
+    """Rows (B, d) times the matrix, or each times its own; matrices (1 or B, d, e)."""
+    if len(matrices) == 1:
+        return np.asarray(rows @ matrices[0])
+    return np.asarray((rows[:, None, :] @ matrices)[:, 0])

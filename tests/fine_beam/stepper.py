@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.fine_beam.extended import Extended
+from tests.fine_beam.extended import Extended, times
 from tests.fine_beam.integrator import phi_functions
 
 Array = NDArray[np.float64]
@@ -125,14 +125,14 @@ class Stepper:
         weights = self._weights_of(length)
         middle = time + 0.5 * length
         first = self._remainder(state, time, torques[0], friction)
-        free = _times(weights.half, state)
-        stage = free + _times(weights.half_weight, first)
+        free = times(weights.half, state)
+        stage = free + times(weights.half_weight, first)
         second = self._remainder(stage, middle, torques[1], friction)
-        third = self._remainder(free + _times(weights.half_weight, second), middle, torques[1], friction)
-        last = _times(weights.half, stage) + _times(weights.half_weight, 2.0 * third - first)
+        third = self._remainder(free + times(weights.half_weight, second), middle, torques[1], friction)
+        last = times(weights.half, stage) + times(weights.half_weight, 2.0 * third - first)
         fourth = self._remainder(last, time + length, torques[2], friction)
-        driven = _times(weights.first, first) + _times(weights.middle, second + third) + _times(weights.last, fourth)
-        return _times(weights.whole, state) + driven
+        driven = times(weights.first, first) + times(weights.middle, second + third) + times(weights.last, fourth)
+        return times(weights.whole, state) + driven
 
     def _remainder(self, state: Array, time: float, torque: Array, friction: Array | float) -> Array:
         """Time derivative of the states less its linear part, (B, d)."""
@@ -142,7 +142,7 @@ class Stepper:
             derivative[:, parts.torque.start] = torque / self._beam.physics.actuator_lag_time_constant
             torque = state[:, parts.torque.start]
         exact = self._beam.accelerations(state, time, torque + friction)
-        derivative[:, parts.rates] = exact - _times(self._linear_rates, state)
+        derivative[:, parts.rates] = exact - times(self._linear_rates, state)
         if parts.slip.stop > parts.slip.start:
             derivative[:, parts.slip] = self._beam.slip_rates(state)
         return derivative
@@ -168,10 +168,3 @@ def _weights(linear: Array, length: float) -> _Weights:
         middle=length * (2.0 * phi_2 - 4.0 * phi_3).T,
         last=length * (4.0 * phi_3 - phi_2).T,
     )
-
-
-def _times(matrices: Array, rows: Array) -> Array:
-    """Rows (B, d) times the matrix, or each times its own; matrices (1 or B, d, e)."""
-    if len(matrices) == 1:
-        return np.asarray(rows @ matrices[0])
-    return np.asarray((rows[:, None, :] @ matrices)[:, 0])
