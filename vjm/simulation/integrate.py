@@ -216,10 +216,11 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     x, remainders = y[:, : 2 * n], [y[:, k * n : (k + 1) * n] for k in range(2, 7)]
     known = [y[:, : k * n] for k in range(3, 7)]
 
-    def stage(number: int, k: float, x: Array, z: Array, torque: Array, rate: Array) -> Array:
-        p = _multiply(x, rate)
+    def stage(number: int, k: float, z: Array, torque: Array, weights: _Weights) -> Array:
+        x = _multiply(known[number - 2], weights[number - 2])
+        p = _multiply(x, weights.rate)
         a, rates = accelerate(k, x, z, p[:, :n], torque)
-        np.subtract(a, p[:, n:], out=remainders[number])
+        np.subtract(a, p[:, n:], out=remainders[number - 1])
         return rates
 
     for k in range(count):
@@ -238,21 +239,18 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
             end[k][:, active] += line[2]
         record(k, x[:, :n], x[:, n:], a + _multiply(at_once, weights.response), z)
         np.subtract(a, p[:, n:], out=remainders[0])
-        x2 = _multiply(known[0], weights.second)
-        z2 = stage(1, k + 0.5, x2, z + step / 2 * z1 if internal else z, middle[k], weights.rate)
-        x3 = _multiply(known[1], weights.third)
-        z3 = stage(2, k + 0.5, x3, z + step / 2 * z2 if internal else z, middle[k], weights.rate)
-        x4 = _multiply(known[2], weights.fourth)
-        z4 = stage(3, k + 1, x4, z + step / 2 * (z2 + z3) if internal else z, end[k], weights.rate)
-        x5 = _multiply(known[3], weights.fifth)
+        z2 = stage(2, k + 0.5, z + step / 2 * z1 if internal else z, middle[k], weights)
+        z3 = stage(3, k + 0.5, z + step / 2 * z2 if internal else z, middle[k], weights)
+        z4 = stage(4, k + 1, z + step / 2 * (z2 + z3) if internal else z, end[k], weights)
         z5 = z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z
-        z5 = stage(4, k + 0.5, x5, z5, middle[k], weights.rate)
+        z5 = stage(5, k + 0.5, z5, middle[k], weights)
         x[:] = _multiply(y, weights.end)
         z = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
+    springs = _multiply(x, propagator.at(x).rate)[:, :n]
     torque = _of_all_joints(system, drive.ends[-1:])[0]
     if friction is not None:
         torque[:, active] += friction.torque
-    a, _ = accelerate(count, x, z, _multiply(x, propagator.at(x).rate)[:, :n], torque)
+    a, _ = accelerate(count, x, z, springs, torque)
     record(count, x[:, :n], x[:, n:], a, z)
     return path if friction is None else replace(path, friction=friction.history)
 
