@@ -181,7 +181,7 @@ HUB = Rig("rig", (Link("beam", "revolute", 1.0, 0.44, 1.97, (1.0,), hub_inertia=
 def driven(torque: np.ndarray, rate: float = 200.0, first_frame: float = 0.0) -> Recording:
     """A recording under torques (T,), with frames from some time on, s."""
     time = np.arange(torque.size) / rate
-    markers = np.where(time[:, None, None] >= first_frame, 0.0, np.full((torque.size, 1, 2), np.nan))
+    markers = np.where(time[:, None, None] >= first_frame, 1.0, np.full((torque.size, 1, 2), np.nan))
     return Recording(time, markers, np.zeros((torque.size, 1)), torque[:, None], kind="driven", file="a.csv")
 
 

@@ -129,7 +129,7 @@ def in_gravity(*gravity: float) -> Change:
     return changed
 
 
-def untracked(experiment: Experiment) -> Experiment:
+def never_tracked(experiment: Experiment) -> Experiment:
     """One recording in which a program wrote zeros for all that it did not see."""
     first, second, *others = experiment.recordings
     zeros = replace(second, markers=np.where(np.isfinite(second.markers), 0.0, np.nan))
@@ -146,7 +146,12 @@ CERTAIN = [  # name, rigs, mistake, words of the sentence
     ("width in mm", BOTH, factors(width=1e3), ["'width' looks like mm", "in metres, 0.035"]),
     ("section in mm", BOTH, factors(width=1e3, thickness=1e3), ["'width' looks like mm and 'thickness'"]),
     ("exchanged section", BOTH, exchanged_section, ["'width' and 'thickness' look exchanged", "exchange 'width'"]),
-    ("untracked", BOTH, untracked, ["beam.m5 and the base are at exactly one place", "leave their cells empty"]),
+    (
+        "untracked",
+        BOTH,
+        never_tracked,
+        ["beam.m5 stand exactly where another marker or the base is", "leave these cells empty"],
+    ),
     ("payload in g", (hub,), loaded, ["'mass' or 'payload' looks like grams; give both in kg"]),
     ("E in GPa", BOTH, factors(youngs_modulus=1e-9), ["'youngs_modulus' looks like GPa", "in Pa"]),
     ("mass in g", BOTH, factors(mass=1e3), ["'mass' looks like grams", "in kg, 0.44"]),
@@ -413,6 +418,28 @@ def test_gravity_of_another_direction(
     (found,) = find_mistakes(in_gravity(*declared)(experiment))
     assert not found.certain
     assert words in str(found)
+
+
+@pytest.mark.parametrize("rig", BOTH)
+def test_zeros_for_what_was_not_tracked_are_left_out(rig: Callable[[], Experiment]) -> None:
+    first, second, *others = rig().recordings
+    zeros = second.markers.copy()
+    zeros[100:140] = np.where(np.isfinite(zeros[100:140]), 0.0, np.nan)
+    experiment = replace(rig(), recordings=(first, replace(second, markers=zeros), *others))
+    assert find_mistakes(experiment) == ()
+    loaded = vjm.Experiment(experiment.rig, experiment.recordings)
+    assert not any("clipped" in text for text in loaded.warnings)
+    (text,) = (text for text in loaded.warnings if "not tracked" in text)
+    assert text.startswith(f"{second.file}: in ")
+    left = loaded.cleaned_recordings[1].markers
+    assert np.isnan(left[100:140]).all()
+    assert np.array_equal(
+        np.delete(left, np.s_[100:140], axis=0), np.delete(second.markers, np.s_[100:140], axis=0), equal_nan=True
+    )
+
+
+def test_an_arm_that_falls_has_no_frequency_that_is_compared() -> None:
+    assert find_mistakes(hanging("revolute", (-9.81, 0.0), 2.0)) == ()
 
 
 def test_a_quiet_recording_that_moves_is_doubted() -> None:

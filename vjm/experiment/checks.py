@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vjm.errors import RecordingError
-from vjm.text import counted
+from vjm.text import counted, listed
 
 if TYPE_CHECKING:
     from vjm.experiment.conventions import Conventions
@@ -40,7 +40,7 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: 
 
 
 def cleaned(rig: Rig, recording: Recording) -> Recording:
-    """Return the recording without markers much farther apart than their link allows, and without clipped coordinates.
+    """Return the recording without markers that were not tracked, are too far apart for their link, or are clipped.
 
     Of one whose torques are unknown for too long, a part. `Experiment.warnings` reports all of this. A frame in which
     leaving out one marker of a link makes the others possible loses that marker; any other such frame loses all markers
@@ -50,6 +50,8 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
         RecordingError: no frame of a link is left.
     """
     recording = _without_gaps(rig, recording)
+    if (lost := untracked(rig, recording)).any():
+        recording = replace(recording, markers=np.where(lost[..., None], np.nan, recording.markers))
     coordinates = recording.markers.reshape(len(recording.time), -1)
     clipped = np.zeros(coordinates.shape, dtype=np.bool_)
     for column, _, begin, _ in _clippings(coordinates):  # shorter runs at the same value, at smaller peaks, as well
@@ -229,6 +231,21 @@ def _marker_angle_noise(rig: Rig, link: Link) -> float:
     return DEFAULT_NOISE if rig.marker_noise is None else rig.marker_noise / link.length
 
 
+def untracked(rig: Rig, recording: Recording) -> Mask:
+    """Return (T, k) where a marker is exactly where another one of its link, or the base, is.
+
+    No camera measures that: it is what some programs write of markers that they did not see.
+    """
+    found = np.zeros(recording.markers.shape[:2], dtype=np.bool_)
+    for index, (link, marker_slice) in enumerate(zip(rig.links, rig.marker_slices, strict=True)):
+        points = recording.markers[:, marker_slice]
+        if index == 0 and link.markers_frame == "base":
+            points = np.concatenate([points, np.zeros_like(points[:, :1])], axis=1)
+        same = (points[:, :, None] == points[:, None]).all(axis=3) & ~np.eye(points.shape[1], dtype=np.bool_)
+        found[:, marker_slice] = same.any(axis=2)[:, : len(link.markers)]
+    return found
+
+
 def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
     """Return which markers (T, k) of a link cannot be where they were seen, given their noise [m] if it is known."""
     arcs = np.array(link.markers)
@@ -288,7 +305,18 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     time, markers = recording.time[frames], recording.markers[frames]
     names = [f"{link.name}.m{number}" for link in rig.links for number in range(1, len(link.markers) + 1)]
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
+    lost = untracked(rig, recording)[frames]
+    markers = np.where(lost[..., None], np.nan, markers)
     yield from _absence_warnings(markers, names, needs_x)
+    if lost.any():
+        rows, markers_lost = (
+            lost.any(axis=1),
+            listed([name for name, of_one in zip(names, lost.T, strict=True) if of_one.any()]),
+        )
+        yield (
+            f"in {counted(int(rows.sum()), 'frame')} (first at t = {time[rows][0]:.6g} s) {markers_lost} stand exactly "
+            "where another marker or the base is: zeros, as it seems, of what was not tracked, and left out"
+        )
     yield from _gap_warnings(time)
     driving = "theta" if recording.input == "motion" else "tau"
     for quantity in dict.fromkeys(("theta", driving)):

@@ -9,12 +9,12 @@ import numpy as np
 from vjm.errors import MistakeError
 from vjm.identification.mistakes.evidence import Mistake
 from vjm.identification.mistakes.geometry import (
-    coincidence_mistakes,
     distance_mistakes,
     heading_mistakes,
     length_mistake,
     origin_mistakes,
     sideways_mistakes,
+    untracked_mistakes,
 )
 from vjm.identification.mistakes.rig import noise_mistakes, rig_mistakes, sag_mistakes
 from vjm.identification.mistakes.torque import balances, torque_gains, torque_mistakes, torque_sign
@@ -29,9 +29,9 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     with np.errstate(all="ignore"), catch_warnings():  # of absurd numbers, which are what is looked for
         simplefilter("ignore", RuntimeWarning)
         lengths = [mistake for link in experiment.rig.links if (mistake := length_mistake(link))]
-        coincident = tuple(coincidence_mistakes(experiment))
-        skipped = {file for mistake in coincident for file in mistake.files}
-        geometric = [*lengths, *coincident, *distance_mistakes(experiment, skipped), *sideways_mistakes(experiment)]
+        untracked = tuple(untracked_mistakes(experiment))
+        skipped = {file for mistake in untracked for file in mistake.files}
+        geometric = [*lengths, *untracked, *distance_mistakes(experiment, skipped), *sideways_mistakes(experiment)]
         wrong_files = {file for mistake in geometric for file in mistake.files}
         if lengths or len(wrong_files) == len({recording.file for recording in experiment.recordings}):
             return tuple(geometric)

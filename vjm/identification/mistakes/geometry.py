@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vjm.experiment.checks import untracked
 from vjm.experiment.conventions import FACTORS, Conventions
 from vjm.identification.mistakes.evidence import (
     LIKELY,
@@ -40,28 +41,19 @@ class _Hypothesis(NamedTuple):
     source: str = ""  # of the numbers in that unit: `recordings` or `rig`
 
 
-def coincidence_mistakes(experiment: Experiment) -> Iterator[Mistake]:
-    """Yield recordings in most of whose frames two of a link's markers, or one and the base, are exactly at one place.
-
-    No camera measures that: it is what some programs write of markers that they did not see.
-    """
+def untracked_mistakes(experiment: Experiment) -> Iterator[Mistake]:
+    """Yield recordings in most of whose frames a marker is at a place that no camera measures."""
+    rig = experiment.rig
+    names = np.array([f"{link.name}.m{k}" for link in rig.links for k in range(1, len(link.markers) + 1)])
     for recording in experiment.recordings:
-        for index, (link, marker_slice) in enumerate(
-            zip(experiment.rig.links, experiment.rig.marker_slices, strict=True)
-        ):
-            points = recording.markers[recording.frames, marker_slice]
-            names = [f"{link.name}.m{k}" for k in range(1, len(link.markers) + 1)]
-            if index == 0 and link.markers_frame == "base":
-                points, names = np.concatenate([points, np.zeros_like(points[:, :1])], axis=1), [*names, "the base"]
-            first, second = np.triu_indices(len(names), 1)
-            seen = np.isfinite(points[:, first] + points[:, second]).all(axis=2).sum(axis=0)
-            same = (points[:, first] == points[:, second]).all(axis=2).sum(axis=0) > 0.5 * seen
-            if same.any():
-                together = listed([names[k] for k in np.unique([first[same], second[same]])])
-                text = f"{together} are at exactly one place in most frames, as where markers were not tracked"
-                remedy = "leave their cells empty there, or leave the recording out"
-                yield Mistake(f"{text}; {remedy}", np.inf, (recording.file,))
-                break
+        seen = np.isfinite(recording.markers).all(axis=2).sum(axis=0)
+        lost = untracked(rig, recording).sum(axis=0) > 0.5 * seen
+        if lost.any():
+            text = (
+                f"{listed(names[lost].tolist())} stand exactly where another marker or the base is in most frames: "
+                "zeros, as it seems, of what was not tracked; leave these cells empty, or leave the recording out"
+            )
+            yield Mistake(text, np.inf, (recording.file,))
 
 
 def distance_mistakes(experiment: Experiment, skipped: Collection[str]) -> list[Mistake]:

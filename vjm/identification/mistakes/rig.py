@@ -33,6 +33,7 @@ _HIGHER = 2.0  # cost in log-likelihood of supposing that the slowest mode seen 
 _SURPRISING = 0.5 * norm.isf(0.005) ** 2  # log-likelihood that is lost by chance once in a hundred times
 _SLENDERNESS = 0.3, np.log(1.5)  # of thickness over length, above which a link is hardly a beam
 _NOISE = np.log(2.7)  # of a noise that somebody wrote down over the one that the recordings have
+_ROUNDING = 1e-9  # of the largest eigenvalue
 _CURVED = 0.01  # of the length: what a link may be off straight, or its camera off level by half a degree, at rest
 
 
@@ -196,6 +197,9 @@ def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
         for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
             if (frequencies := seen_modes(rig, recording, 1)).size:
                 M, D, K, _ = linearise(chain, recording.payload)
+                stiffness = np.linalg.eigvalsh(K)
+                if stiffness[0] < -_ROUNDING * stiffness[-1]:  # it falls, which is no vibration
+                    continue
                 if (nominal := modes_of(M, D, K).frequencies[:4]).size:
                     return float(frequencies[0]), nominal, recording.file
         return None, np.array(locked_joint_frequencies(chain, order[0].payload)[:1]), ""
