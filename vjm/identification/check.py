@@ -135,6 +135,7 @@ def check(experiment: Experiment) -> Check:
     return Check(experiment, warnings, expected, choices, identifiable, overviews=overviews)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of parameters that the recordings do not determine
 def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
     fit = fit_torque(data)
     if data.parameters != "uniform":

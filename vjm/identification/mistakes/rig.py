@@ -196,7 +196,7 @@ def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
     try:
         for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
             if (frequencies := seen_modes(rig, recording, 1)).size:
-                M, D, K, _ = linearise(chain, recording.payload)
+                M, D, K, _ = linearise(chain, recording.payload, recording.gravity)
                 stiffness = np.linalg.eigvalsh(K)
                 if stiffness[0] < -_ROUNDING * stiffness[-1]:  # it falls, which is no vibration
                     continue

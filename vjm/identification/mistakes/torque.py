@@ -307,6 +307,6 @@ def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -
         return None
     text = (
         f"the link falls as if gravity of {size:.3g} m/s^2 acted on it in its plane, and none is declared; set [base] "
-        f"gravity = {_vector(complex(*gravity))}"
+        f"gravity = {_vector(complex(*gravity))}, unless a spring, such as a cable, pulls the joint"
     )
-    return Mistake(text, gain, tuple(recording[0].file for recording in chosen))
+    return Mistake(text, min(gain, CERTAIN), tuple(recording[0].file for recording in chosen))
