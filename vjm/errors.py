@@ -9,7 +9,9 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable
+from numbers import Integral
 from pathlib import Path
+from typing import TypeGuard
 
 # Control characters, halves of surrogate pairs, and what makes other characters change places or vanish.
 _UNPRINTABLE = re.compile(
@@ -198,6 +200,11 @@ class MissingPackageError(VjmError):
     def __init__(self, package: str, purpose: str, remedy: str) -> None:
         self.package, self.purpose, self.remedy = package, purpose, remedy
         super().__init__(f"{purpose} needs the package {package}, which is not installed; {remedy}")
+
+
+def is_whole(value: object, least: int) -> TypeGuard[int]:
+    """Return True for a whole number of at least `least`; False and True are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
 
 
 def shown(value: object) -> str:

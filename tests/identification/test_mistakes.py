@@ -453,6 +453,24 @@ def test_a_quiet_recording_that_moves_is_doubted() -> None:
     named = recordings(lambda r: replace(r, kind="quiet") if r.file == "first_mode.csv" else r)(clamped())
     (text,) = (text for text in vjm.check(named).warnings if "quiet" in text)
     assert re.fullmatch(r"first_mode.csv: it moves by \d+ × its noise, though the recording is of kind 'quiet'", text)
+    first, *others = clamped().recordings
+    glitch = first.markers.copy()
+    glitch[30, 4, 1] += 0.03
+    spoiled = replace(clamped(), recordings=(replace(first, markers=glitch), *others))
+    assert first.kind == "quiet"
+    assert not any("it moves by" in text for text in vjm.check(spoiled).warnings)
+
+
+def test_the_key_of_a_recording_s_own_gravity_is_named() -> None:
+    first, second, *others = hub().recordings
+    heavy = replace(second, gravity=(0.0, -9.81))
+    (found,) = find_mistakes(replace(hub(), recordings=(first, heavy, *others)))
+    assert found.files == (second.file,)
+    assert "set gravity in the [[recording]] = [0, 0]" in str(found)
+    quiet, decay, *rest = clamped().recordings
+    (found,) = find_mistakes(replace(clamped(), recordings=(quiet, replace(decay, gravity=(0.0, -9.81)), *rest)))
+    assert found.files == (decay.file,)
+    assert "set gravity in the [[recording]] = [0, 0]" in str(found)
 
 
 def test_the_beginning_of_a_decay_shows_no_sag() -> None:

@@ -146,6 +146,17 @@ def test_evaluate_agrees_with_the_search() -> None:
     assert fit.jacobian == pytest.approx(again.jacobian, rel=1e-3, abs=1e-3 * np.abs(again.jacobian).max())
 
 
+@pytest.mark.parametrize("kind", ["uniform", "joints"])
+def test_errors_that_are_linear_are_those_of_the_chain(kind: str) -> None:
+    data = TrainingData.of(demo(), kind)
+    fit = fit_torque(data)
+    problem = fit.problem if kind == "uniform" else fit.refined(kind)
+    x = problem.parametrisation.start * np.random.default_rng(0).uniform(0.5, 2.0, len(problem.parametrisation.start))
+    direct = data.weighted_errors(problem.parametrisation.chain(x))
+    for found, expected in zip(problem.torque_residuals(x), direct, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
 def test_errors_name_what_is_wrong() -> None:
     experiment = demo()
     with pytest.raises(ChoiceError, match="torque"):

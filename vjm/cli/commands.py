@@ -222,7 +222,7 @@ _ANOTHER = "choose another file, or remove this one"
 
 
 def _check_replaced(file: Path | None, source: Path) -> None:
-    """Refuse to replace the source by what is made of it, or a file that was not made so, such as a recording."""
+    """Refuse to replace the source by what is made of it, or a file of another kind, such as a recording."""
     if file is None or not os.path.isfile(file):
         return
     if file.samefile(source):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from numbers import Integral, Real
+from numbers import Real
 from time import monotonic
 
 import numpy as np
@@ -33,7 +33,7 @@ from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
 from vjm.effects.effect import is_nonsmooth
-from vjm.errors import ChoiceError, ShapeError
+from vjm.errors import ChoiceError, ShapeError, is_whole
 from vjm.experiment.records import require_experiment
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
@@ -80,7 +80,7 @@ def diagnose(
     require_experiment(experiment)
     chosen = _chosen_effects(effects)
     for name, value, minimum in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
+        if not is_whole(value, minimum):
             raise ShapeError(name, value, f"a whole number of at least {minimum}")
     if budget is not None and (isinstance(budget, bool) or not isinstance(budget, Real) or not budget > 0):
         raise ShapeError("budget", budget, "a positive number of seconds, or None")

@@ -303,18 +303,16 @@ def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
 def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions) -> Iterator[str]:
     frames = recording.frames
     time, markers = recording.time[frames], recording.markers[frames]
-    names = [f"{link.name}.m{number}" for link in rig.links for number in range(1, len(link.markers) + 1)]
+    names = [*rig.marker_names]
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
     lost = untracked(rig, recording)[frames]
     markers = np.where(lost[..., None], np.nan, markers)
     yield from _absence_warnings(markers, names, needs_x)
     if lost.any():
-        rows, markers_lost = (
-            lost.any(axis=1),
-            listed([name for name, of_one in zip(names, lost.T, strict=True) if of_one.any()]),
-        )
+        rows = lost.any(axis=1)
+        together = listed([names[k] for k in np.flatnonzero(lost.any(axis=0))])
         yield (
-            f"in {counted(int(rows.sum()), 'frame')} (first at t = {time[rows][0]:.6g} s) {markers_lost} stand exactly "
+            f"in {counted(int(rows.sum()), 'frame')} (first at t = {time[rows][0]:.6g} s) {together} stand exactly "
             "where another marker or the base is: zeros, as it seems, of what was not tracked, and left out"
         )
     yield from _gap_warnings(time)

@@ -190,6 +190,11 @@ class Rig:
                 problem = f"'{name}' is already the name of link[{names.index(name) + 1}]"
                 raise ExperimentError(None, f"link[{index + 1}] {name}", "name", problem, "a name of its own")
 
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """Names of all markers, link by link: those of their columns without `.x` and `.y`."""
+        return tuple(column.removesuffix(".x") for link in self.links for column in link.marker_columns[::2])
+
     def require_markers(self) -> None:
         """Raise an `ExperimentError` if there is no marker on any link."""
         if not any(link.markers for link in self.links):

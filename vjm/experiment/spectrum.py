@@ -104,8 +104,6 @@ class Oscillators:
             sampled = np.interp(time[0] + grid, knots, column)
             if np.ptp(sampled) > 0:
                 self.inputs.append(sampled)
-        self._before = np.minimum((self.time / self.step + 1e-9).astype(int), grid.size - 2)
-        self._since = self.time - self._before * self.step
 
     def columns(self, values: Array) -> Array:
         """Return (T, 1 + 2 m (1 + inputs)): offset, free and forced motion of m oscillators (Hz, ratio) (m, 2)."""
@@ -136,7 +134,8 @@ class Oscillators:
             [[0.0], lfilter([1.0], [1.0, -flow], (first - second) * signal[:-1] + second * signal[1:])]
         )
         # Between grid instants: exact propagation from the one before, with the torque frozen in its linear piece.
-        k, remainder = self._before, self._since
+        k = np.minimum((self.time / h + 1e-9).astype(int), signal.size - 2)
+        remainder = self.time - k * h
         decay = np.exp(pole * remainder)
         slope = (signal[k + 1] - signal[k]) / h
         zeroth = (decay - 1) / pole

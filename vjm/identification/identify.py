@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from numbers import Integral
 from typing import get_args
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from vjm.chain.curve import curve_map
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError, ShapeError, shown
+from vjm.errors import ChoiceError, ShapeError, is_whole, shown
 from vjm.experiment.records import require_experiment
 from vjm.experiment.spectrum import match, mode_shapes
 from vjm.identification.check import (
@@ -95,8 +94,7 @@ def identify(
     ):
         if value not in choices:
             raise ChoiceError(option, value, choices)
-    counted = isinstance(virtual_joints, Integral) and not isinstance(virtual_joints, bool)
-    if virtual_joints is not None and not (counted and 1 <= virtual_joints <= 60):
+    if virtual_joints is not None and not (is_whole(virtual_joints, 1) and virtual_joints <= 60):
         raise ShapeError("virtual_joints", shown(virtual_joints), "a whole number from 1 to 60")
     likely = refuse_mistakes(experiment)
     progress = Stages(progress, 0.25).inside  # share of the remaining progress that a fit takes: there are seven

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
-from vjm.errors import ShapeError
+from vjm.errors import ShapeError, is_whole
 from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.experiment.records import as_rig, for_rig
 from vjm.files import check_no_folder, write_text
@@ -90,8 +89,7 @@ class Model(Record):
             ShapeError: a number of joints below one, or a time below zero.
         """
         rig = as_rig(rig)
-        counted = isinstance(virtual_joints, Integral) and not isinstance(virtual_joints, bool)
-        if not counted or virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
+        if not is_whole(virtual_joints, 1) or not 0 <= kelvin_voigt < np.inf:
             value = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
             raise ShapeError("model", value, "a whole number from 1, and a time, zero or positive [s]")
         cuts = rig_layouts(rig, [link.virtual_joints or virtual_joints for link in rig.links])
@@ -202,8 +200,7 @@ class Model(Record):
         if angles.shape != (size,):
             raise ShapeError("q", f"shape {angles.shape}", f"shape ({size},)")
         slopes = MarkerArcs.of(self.rig).jacobian(self.arm, angles[None], np.zeros(1), np.eye(size))[0]
-        markers = [f"{link.name}.m{k}" for link in self.rig.links for k in range(1, len(link.markers) + 1)]
-        return dict(zip((f"{marker}.{axis}" for marker in markers for axis in "xy"), slopes, strict=True))
+        return dict(zip((column for link in self.rig.links for column in link.marker_columns), slopes, strict=True))
 
     def to_urdf(self, path: Path | str) -> Path:
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path.

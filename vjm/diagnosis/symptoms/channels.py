@@ -126,8 +126,7 @@ class Channels:
         path = CubicSpline(time, velocity).antiderivative()
         path.c[-1] += _turned(simulation.markers[:1], turns[:1]).reshape(1, -1)
         axes = [(" along", " across") if turning else (".x", ".y") for turning in np.any(turns != 0, axis=0)]
-        markers = [f"{link.name}.m{k + 1}" for link in rig.links for k in range(len(link.markers))]
-        coordinates = [(markers[m] + axes[m][axis], (m, axis)) for m in range(len(markers)) for axis in (0, 1)]
+        coordinates = [(name + axes[m][axis], (m, axis)) for m, name in enumerate(rig.marker_names) for axis in (0, 1)]
         joints = [(f"{rig.links[i].name}.theta", (j, 0)) for j, i in enumerate(rig.active_links)]
         residual = _turned(simulated.marker_residual, turns).reshape(count, -1)
         sensors: list[Channels] = []

@@ -47,6 +47,11 @@ def negated(column: str) -> str:
     return f"multiply the column '{column}' by -1"
 
 
+def gravity_key(rig: Rig, gravity: tuple[float, float]) -> str:
+    """Return where a gravity [m/s^2] that recordings have is declared."""
+    return "[base] gravity" if gravity == rig.gravity else "gravity in the [[recording]]"
+
+
 def unit_factors(quantity: str, current: str) -> dict[str, float]:
     """Return, by unit, the factor that mends numbers which were read in the current unit but are in that one."""
     return {unit: size / FACTORS[quantity][current] for unit, size in FACTORS[quantity].items() if unit != current}

@@ -44,13 +44,13 @@ class _Hypothesis(NamedTuple):
 def untracked_mistakes(experiment: Experiment) -> Iterator[Mistake]:
     """Yield recordings in most of whose frames a marker is at a place that no camera measures."""
     rig = experiment.rig
-    names = np.array([f"{link.name}.m{k}" for link in rig.links for k in range(1, len(link.markers) + 1)])
     for recording in experiment.recordings:
         seen = np.isfinite(recording.markers).all(axis=2).sum(axis=0)
         lost = untracked(rig, recording).sum(axis=0) > 0.5 * seen
         if lost.any():
+            names = listed([rig.marker_names[k] for k in np.flatnonzero(lost)])
             text = (
-                f"{listed(names[lost].tolist())} stand exactly where another marker or the base is in most frames: "
+                f"{names} stand exactly where another marker or the base is in most frames: "
                 "zeros, as it seems, of what was not tracked; leave these cells empty, or leave the recording out"
             )
             yield Mistake(text, np.inf, (recording.file,))

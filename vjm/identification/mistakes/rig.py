@@ -17,9 +17,9 @@ from scipy.stats import norm
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import VjmError
 from vjm.experiment.spectrum import measured_noise
-from vjm.identification.mistakes.evidence import CERTAIN, EARTH, LIKELY, Mistake, seen_modes, unit_factors
+from vjm.identification.mistakes.evidence import CERTAIN, EARTH, LIKELY, Mistake, gravity_key, seen_modes, unit_factors
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array, Experiment, Link, Recording
+from vjm.records import Array, Experiment, Link, Recording, Rig
 from vjm.simulation.integrate import locked_joint_frequencies
 
 # Medians and standard deviations of logarithms, of rigs that somebody might build (Ashby, Materials Selection in
@@ -251,12 +251,13 @@ def sag_mistakes(experiment: Experiment) -> list[Mistake]:
             recording.kind == "quiet" or (recording.kind == "decay" and np.ptp(recording.time) > 2 * period)
         ):
             groups.setdefault((x, y), []).append(recording)
-    found = [_other_sag(link, gravity, recordings) for gravity, recordings in groups.items()]
+    found = [_other_sag(rig, gravity, recordings) for gravity, recordings in groups.items()]
     return [mistake for mistake in found if mistake]
 
 
-def _other_sag(link: Link, gravity: tuple[float, float], recordings: Sequence[Recording]) -> Mistake | None:
+def _other_sag(rig: Rig, gravity: tuple[float, float], recordings: Sequence[Recording]) -> Mistake | None:
     """Return that recordings of a clamped link with one declared gravity [m/s^2] show another; None if they do not."""
+    link = rig.links[0]
     # Half of a decay is over by then; what is left of the motion is on both sides of the rest.
     rests = [
         float(np.nanmedian(recording.markers[recording.frames[recording.frames.size // 2 :], -1, 1]))
@@ -280,7 +281,7 @@ def _other_sag(link: Link, gravity: tuple[float, float], recordings: Sequence[Re
     if gain < LIKELY:
         return None
     finding = f"the outermost marker of {link.name} rests {1e3 * abs(rest):.3g} mm beside the clamp's direction"
-    other = f"gravity = [{gravity[0]:.3g}, {across[best]:.3g}]"
+    other = f"{gravity_key(rig, gravity)} = [{gravity[0]:.3g}, {across[best]:.3g}]"
     if not gravity[1]:
         finding += (
             ", about as far as its own weight would bend it, and no gravity is declared; if the plane is vertical"
@@ -290,4 +291,4 @@ def _other_sag(link: Link, gravity: tuple[float, float], recordings: Sequence[Re
     else:
         finding += ", to the other side than the declared gravity bends it; if the signs of x and y are right"
     files = tuple(recording.file for recording in recordings)
-    return Mistake(f"{finding}, set [base] {other}", min(gain, CERTAIN), files)
+    return Mistake(f"{finding}, set {other}", min(gain, CERTAIN), files)

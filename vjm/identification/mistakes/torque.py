@@ -20,6 +20,7 @@ from vjm.identification.mistakes.evidence import (
     LIKELY,
     Mistake,
     angle_at,
+    gravity_key,
     negated,
     root_headings,
     seen_markers,
@@ -251,10 +252,11 @@ def torque_mistakes(
             f"{f', and {negated(tau)}' if negative else ''}"
         )
     elif best.gravity != 1.0:
-        declared = next(complex(*recording[0].gravity) for recording in driven if any(recording[0].gravity))
-        other = best.gravity * declared
+        heavy = [recording[0] for recording in driven if any(recording[0].gravity)]
+        files, declared = tuple(balance.file for balance in heavy), complex(*heavy[0].gravity)
+        other, key = best.gravity * declared, gravity_key(experiment.rig, heavy[0].gravity)
         finding = f"as if it were {_vector(other)}" if other else "as if there were none in its plane"
-        text = f"gravity = {_vector(declared)} is declared, and the link moves {finding}; set [base] gravity = "
+        text = f"gravity = {_vector(declared)} is declared, and the link moves {finding}; set {key} = "
         return [Mistake(f"{text}{_vector(other)}", min(gains[best], CERTAIN), files)]
     elif best.mass in _SEVERALFOLD:
         less, wrong = ("less", "large") if best.mass < 1 else ("more", "small")
@@ -306,7 +308,8 @@ def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -
     if gain < LIKELY:
         return None
     text = (
-        f"the link falls as if gravity of {size:.3g} m/s^2 acted on it in its plane, and none is declared; set [base] "
-        f"gravity = {_vector(complex(*gravity))}, unless a spring, such as a cable, pulls the joint"
+        f"the link falls as if gravity of {size:.3g} m/s^2 acted on it in its plane, and none is declared; set "
+        f"{gravity_key(experiment.rig, (0.0, 0.0))} = {_vector(complex(*gravity))}, unless a spring, such as a cable, "
+        "pulls the joint"
     )
     return Mistake(text, min(gain, CERTAIN), tuple(recording[0].file for recording in chosen))
