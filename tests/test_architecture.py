@@ -24,6 +24,7 @@ ORDER = (
     ("errors",),
     ("text",),
     ("files",),
+    ("threads",),
     ("experiment",),
     ("records",),
     ("chain",),

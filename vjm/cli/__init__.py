@@ -50,8 +50,6 @@ def _run(argv: Sequence[str] | None, interrupts: _Interrupts) -> int:
         arguments = parse(argv)
         if not sys.warnoptions:
             warnings.simplefilter("ignore")  # a user can do nothing about a library's warnings
-        # The matrices are small: BLAS threads would only wait for each other. Read when NumPy is first imported.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from vjm.cli.commands import COMMANDS
 
         arguments.line = shlex.join(["vjm", *(sys.argv[1:] if argv is None else argv)])

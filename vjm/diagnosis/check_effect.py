@@ -27,6 +27,7 @@ from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
+from vjm.threads import on_one_thread
 
 _Checks = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
 _HOOKS = (
@@ -38,6 +39,7 @@ _PAYLOAD = 0.05  # kg
 _NOISE = (5e-5, 5e-5)  # m of a marker coordinate, rad of an encoder
 
 
+@on_one_thread
 def check_effect(effect: Effect, seed: int = 0) -> None:
     """Check whether an effect keeps the contract of effects, clause by clause; it takes a second or a few.
 

@@ -41,8 +41,10 @@ from vjm.records import REFERENCE, VISIBLE_SHARE, Experiment, Progress, Recordin
 from vjm.simulation.model import Model
 from vjm.simulation.run import all_followed
 from vjm.text import number
+from vjm.threads import on_one_thread
 
 
+@on_one_thread
 def diagnose(
     experiment: Experiment,
     effects: Sequence[str | Effect] | str | Effect | None = None,

@@ -16,6 +16,8 @@ from multiprocessing.process import BaseProcess
 from threading import Thread
 from typing import Self, TypeVar
 
+from vjm.threads import use_one_thread
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -43,7 +45,7 @@ class Workers:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         existing, context = {*active_children()}, get_context("forkserver")
-        executor = ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
+        executor = ProcessPoolExecutor(count, mp_context=context, initializer=_initialise)
         try:
             with _deferred_interrupts():
                 for _ in range(count):
@@ -79,8 +81,9 @@ def _deferred_interrupts() -> Iterator[None]:
         signal.raise_signal(number)
 
 
-def _end_with_parent() -> None:
-    """Make this process end when the one that started it does, however that ends."""
+def _initialise() -> None:
+    """Run linear algebra on one thread in this process, and end it when the one that started it ends, however."""
+    use_one_thread()
 
     def watch(parent: BaseProcess) -> None:
         parent.join()

@@ -25,6 +25,7 @@ from vjm.identification.uncertainty import Information
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment, Link, Record, Recording, RecordingComparison, Result, Rig
 from vjm.text import counted, listed, millimetres, number, ratio
+from vjm.threads import on_one_thread
 
 # Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
 # fifth. What is certain but smaller needs no warning.
@@ -94,6 +95,7 @@ class Check(Result):
     overviews: tuple[RecordingOverview, ...] = ()  # of the recordings, in the experiment's order
 
 
+@on_one_thread
 def check(experiment: Experiment) -> Check:
     """Say what is wrong with a loaded experiment, what can be identified from it and what cannot be told apart.
 

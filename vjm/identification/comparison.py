@@ -20,10 +20,12 @@ from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
+from vjm.threads import on_one_thread
 
 Replay = Callable[[Sequence[Observations], Sequence[Array | None] | None], list[tuple[Run, bool]]]
 
 
+@on_one_thread
 def compare(
     experiment: Experiment, model: Model, covariance: Array | None = None, progress: Progress | None = None
 ) -> Comparison:

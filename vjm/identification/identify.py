@@ -38,8 +38,10 @@ from vjm.model.modes import modes
 from vjm.records import Array, Complex, Experiment, Progress, Rig, Stages
 from vjm.simulation.least_squares import LOSSES, LossName
 from vjm.simulation.model import Model
+from vjm.threads import on_one_thread
 
 
+@on_one_thread
 def identify(
     experiment: Experiment,
     method: Method = "trajectory",

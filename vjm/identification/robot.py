@@ -32,6 +32,7 @@ from vjm.markers.smoothing import Smoother
 from vjm.model.flexible import FlexibleModel
 from vjm.model.kinematics import marker_tree
 from vjm.records import CI95, Array, ByParameter, Estimate, Indices, Mask, Record
+from vjm.threads import on_one_thread
 
 # Turns about axes at one place do not commute: half of phi_y phi_z is torsion or not, by their order. An angle that is
 # ten times that has its stiffness right to a tenth.
@@ -96,6 +97,7 @@ class _Motion:
     torque: Array  # (S, n_a)
 
 
+@on_one_thread
 def identify_stiffness(
     model: FlexibleModel,
     q_active: ArrayLike,

@@ -20,6 +20,7 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajecto
 from vjm.records import NOT_NOISE, Array, Mask, Progress
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, linearize
+from vjm.threads import on_one_thread
 
 SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e-6 leave rounding errors only
 
@@ -195,6 +196,7 @@ def _whiteness(run: Run) -> Whiteness:
 ErrorKind = Literal["noise", "blocks"]
 
 
+@on_one_thread
 def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -> tuple[float, float]:
     """Find the values of a parameter that the recordings do not reject, all others being fitted again at each.
 
@@ -323,6 +325,7 @@ def _resampled(
     return values, std
 
 
+@on_one_thread  # called in processes of an executor
 def _refit(point: Point, kind: ErrorKind, seed: np.random.SeedSequence) -> tuple[Array, Array] | None:
     """Estimate parameters (p,) from one data set, with their standard errors; None where the fit fails."""
     rng = np.random.default_rng(seed)

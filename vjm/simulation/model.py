@@ -26,6 +26,7 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.control import ControlLaw, simulate_motion
 from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
 from vjm.simulation.measurement import MarkerArcs, Observations
+from vjm.threads import on_one_thread
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -109,6 +110,7 @@ class Model(Record):
         """Return the arm of a recording; in a `reference` recording it has the reference effects only."""
         return (self._reference if recording.condition == REFERENCE else self.arm).in_recording(recording)
 
+    @on_one_thread
     def simulate(
         self,
         recording: Recording | None = None,
@@ -149,6 +151,7 @@ class Model(Record):
             raise ShapeError("simulate", "a recording and a torque of one's own", "one of them")
         return self.replay(recording).simulation
 
+    @on_one_thread
     def replay(self, recording: Recording, near: Array | None = None) -> SimulatedRecording:
         """Simulate a recording as `simulate` does, and keep it with its residuals.
 
