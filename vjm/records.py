@@ -161,6 +161,7 @@ class Estimate:
         remedy: in words, which recording would; empty where they do.
         discretization_shift: what more virtual joints would change of the value, to first order, in `unit`; None where
             that was not measured.
+        nonnegative: whether it cannot be below zero, where its interval then ends.
     """
 
     name: str
@@ -171,6 +172,7 @@ class Estimate:
     reason: str = ""
     remedy: str = ""
     discretization_shift: float | None = None
+    nonnegative: bool = False
 
     def __str__(self) -> str:
         """Return the estimate as a line: `beam.bending_stiffness = 1.9741 ± 0.0005 N m²`."""
@@ -189,7 +191,10 @@ class Estimate:
     @property
     def ci95(self) -> tuple[float, float] | None:
         """95 % interval by noise and discretization together [unit]; None where the parameter was not estimated."""
-        return None if self.error is None else (self.value - CI95 * self.error, self.value + CI95 * self.error)
+        if self.error is None:
+            return None
+        lower, upper = self.value - CI95 * self.error, self.value + CI95 * self.error
+        return max(lower, 0.0) if self.nonnegative else lower, upper
 
 
 class ByParameter:

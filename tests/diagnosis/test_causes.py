@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
+from vjm.diagnosis import alternatives
 from vjm.diagnosis.alternatives import _with_errors, equivalent_increase, estimate_causes, ranked
 from vjm.diagnosis.records import EQUIVALENT, Alternative
 from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
@@ -38,6 +39,12 @@ def test_standard_errors_follow_each_parameters_scale() -> None:
         change = (square + std) ** 0.5 - square**0.5
         assert parameters["radius_of_gyration"].std == pytest.approx(change * body.parameters[1].typical_magnitude)
         assert parameters["mass"].std == pytest.approx(0.1 * body.parameters[0].typical_magnitude, rel=1e-4)
+        interval = parameters["radius_of_gyration"].ci95
+        assert interval is not None
+        assert (interval[0] == 0.0) == (square == 0.0)  # no radius is negative
+    offset = _with_errors(EncoderOffset(link=0, column=0), np.eye(1))["offset"].ci95
+    assert offset is not None
+    assert offset[0] == -offset[1] < 0  # an angle may be
 
 
 def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() -> None:
@@ -64,6 +71,29 @@ def model(effects: tuple[Any, ...], chi2: float, converged: bool = True) -> Any:
         misfit=float(np.sqrt(chi2 / 1000)),
         converged=converged,
     )
+
+
+@pytest.fixture(autouse=True)
+def inflation(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> float:
+    """What the fits of `model` leave is white noise, unless a test says by how much more chi^2 scatters."""
+    value = getattr(request, "param", 1.0)
+    known = alternatives.information_of
+
+    def information(fit: Any) -> Any:
+        return SimpleNamespace(inflation=value) if isinstance(fit, SimpleNamespace) else known(fit)
+
+    monkeypatch.setattr(alternatives, "information_of", information)
+    return float(value)
+
+
+@pytest.mark.parametrize("inflation", [0.5, 4.0], indirect=True)
+def test_a_p_value_allows_for_residuals_that_last(inflation: float) -> None:
+    payload, seen = TipPayload(link=0, mass=0.01), []
+    family = SimpleNamespace(p_of_fit=lambda effect, decrease: seen.append(decrease) or 1e-9)
+    search = SimpleNamespace(start=None, refit_without=lambda *_: model((), 1400.0))
+    result = SimpleNamespace(best=model((payload,), 1000.0), first_tests=family, p_values={}, fits={}, segment_fits={})
+    estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
+    assert seen == [400.0 / max(inflation, 1.0)]
 
 
 @pytest.mark.parametrize("reference_misfit", [1.0, 3.0])

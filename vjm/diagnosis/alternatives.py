@@ -124,6 +124,8 @@ def estimate_causes(
         covariance: (p, p) covariance of the best model's coordinates.
     """
     best, causes = result.best, []
+    # By which chi^2 of models differs more, where the best one leaves what is correlated or more than noise.
+    inflation = max(1.0, information_of(best).inflation)
     estimated = best.point.problem.effects_at(best.estimate)
     for effect, estimate, part in [*zip(best.effects, estimated, best.point.problem.parts, strict=True)][
         best.point.problem.reference_effects :
@@ -135,8 +137,7 @@ def estimate_causes(
         if not reduced.converged and shorter is not None and shorter.chi2 < reduced.chi2:
             reduced = shorter
         decrease = reduced.chi2 - best.chi2
-        # In units of the reduced chi^2, where the best model leaves more than noise.
-        p_of_fit = result.first_tests.p_of_fit(effect, decrease / max(1.0, best.misfit**2))
+        p_of_fit = result.first_tests.p_of_fit(effect, decrease / inflation)
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
         unit = "noise" if reference_misfit == 1 else "the residual before the change"
         before, after = ratio(reduced.misfit), ratio(best.misfit)
@@ -175,5 +176,6 @@ def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
             variance = float(slope @ covariance @ slope)
         known = np.isfinite(variance) and not (parameter.integer or parameter.simulated)
         std = float(np.sqrt(max(variance, 0.0))) if known else None
-        parameters[name] = Estimate(name, float(values[name]), std, parameter.unit)
+        nonnegative = parameter.lower >= 0
+        parameters[name] = Estimate(name, float(values[name]), std, parameter.unit, nonnegative=nonnegative)
     return parameters

@@ -192,7 +192,8 @@ def estimates(
                 remedy += "; or fewer parameters (--parameters uniform)"
         error = float(std[k]) if np.isfinite(std[k]) and visible[k] else None
         fields = (coordinate.name, float(values[k]), error, coordinate.unit)
-        result.append(Estimate(*fields, not reason, reason, remedy, None if error is None else shifts[k]))
+        more_joints = None if error is None else shifts[k]
+        result.append(Estimate(*fields, not reason, reason, remedy, more_joints, nonnegative=True))
     return tuple(result)
 
 

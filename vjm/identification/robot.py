@@ -393,7 +393,9 @@ class _Problem:
             group = self.groups[p // 2]
             name, unit = (group.damping, f"{group.unit} s") if p % 2 else (group.stiffness, group.unit)
             reason, remedy = silent.get(p, ("", ""))
-            estimates.append(Estimate(name, value, stds.get(p), unit, p not in silent, reason, remedy))
+            estimates.append(
+                Estimate(name, value, stds.get(p), unit, p not in silent, reason, remedy, nonnegative=True)
+            )
         errors = -model.inverse_dynamics(model.configuration(motion.q), motion.v, motion.a)
         errors[:, model.active] += motion.torque
         return RobotIdentification(

@@ -55,14 +55,14 @@ def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[
 
 
 def _quantity(value: _Uncertain) -> _Result:
-    """Return a value with its errors, None where it rests on nothing that was estimated or measured."""
+    """Return a stiffness or damping with its errors, None where it rests on nothing that was estimated or measured."""
     nominal = uncertainties.nominal_value(value)
     if not isinstance(value, uncertainties.UFloat):
         return {"value": nominal, **dict.fromkeys(_ERRORS)}
     parts = value.error_components()
     shift = next((error for variable, error in parts.items() if variable.tag == _MORE_JOINTS), None)
     noise = math.sqrt(sum(error**2 for variable, error in parts.items() if variable.tag != _MORE_JOINTS))
-    estimate = Estimate("", nominal, noise, "", discretization_shift=shift)
+    estimate = Estimate("", nominal, noise, "", discretization_shift=shift, nonnegative=True)
     return {"value": nominal, **{name: getattr(estimate, name) for name in _ERRORS}}
 
 
