@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.chain.beams import beam_chain
-from vjm.chain.curve import curve_map, marker_poses
-from vjm.chain.virtual_links import Chain
+from vjm.chain.curve import curve_map, marker_pose_slopes, marker_poses
+from vjm.chain.virtual_links import Chain, MovingBase
 
 Array = NDArray[np.float64]
 Joint = Literal["revolute", "clamped"]
@@ -113,3 +113,28 @@ def test_joints_of_an_outer_link_leave_inner_markers_alone() -> None:
     before, after = marker_poses(chain, q, ARCS, BASE)[0], marker_poses(chain, moved, ARCS, BASE)[0]
     np.testing.assert_array_equal(before[:5], after[:5])
     assert np.abs(before[5] - after[5]).max() > 0.05
+
+
+@given(
+    st.sampled_from(JOINTS),
+    SEEDS,
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from([BASE, OWN, (False, True, False)]),
+)
+@settings(max_examples=40, deadline=None)
+def test_slopes_are_those_of_the_poses(
+    joints: tuple[Joint, ...], seed: int, moves: bool, gives: bool, frames: tuple[bool, ...]
+) -> None:
+    """Of curved links too, on roots that give and on a base that moves, along any directions."""
+    chain, rng = arm(joints), np.random.default_rng(seed)
+    links = [replace(link, rest_curvature=rng.normal(), root_stiffness=2.0 if gives else None) for link in chain.links]
+    base = MovingBase(mass=1.0, stiffness=3.0, damping=0.1, direction=rng.uniform(-3, 3)) if moves else None
+    chain = replace(chain, links=tuple(links), base=base)
+    q, directions = rng.uniform(-0.7, 0.7, (5, chain.size)), rng.normal(size=(chain.size, 3))
+    slopes, turning = marker_pose_slopes(chain, q, directions, ARCS, frames)
+    assert (slopes.shape, turning.shape) == ((5, 6, 2, 3), (6, 3))
+    for k, direction in enumerate(1e-5 * directions.T):
+        after, before = (marker_poses(chain, q + change, ARCS, frames) for change in (direction, -direction))
+        np.testing.assert_allclose(slopes[..., k], (after[0] - before[0]) / 2e-5, atol=1e-7)
+        np.testing.assert_allclose(np.tile(turning[:, k], (5, 1)), (after[1] - before[1]) / 2e-5, atol=1e-8)

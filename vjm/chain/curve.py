@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_interp_spline
 
 from vjm.chain.layout import Cuts, Layout
-from vjm.chain.virtual_links import Chain, Distal
+from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.records import Array
 
 _NODES = 6  # Gauss-Legendre nodes a panel
@@ -41,16 +41,24 @@ class CurveMap:
             root_angle: (...) of the root joint [rad].
             rest_curvature: of the unloaded link [1/m].
         """
-        psi = np.asarray(phi, dtype=float) @ self.node_heading.T
-        psi += rest_curvature * self.nodes + np.asarray(root_angle, dtype=float)[..., None]
+        psi = self._node_headings(phi, root_angle, rest_curvature)
         return np.stack([np.cos(psi) @ self.weights.T, np.sin(psi) @ self.weights.T], axis=-1)
 
     def jacobian(self, phi: ArrayLike) -> Array:
-        """Return the (..., k, 2, n) derivative of `positions` by phi [m/rad]."""
-        psi = np.asarray(phi, dtype=float) @ self.node_heading.T
-        by_x = np.einsum("...q,kq,qn->...kn", -np.sin(psi), self.weights, self.node_heading, optimize=True)
-        by_y = np.einsum("...q,kq,qn->...kn", np.cos(psi), self.weights, self.node_heading, optimize=True)
-        return np.stack([by_x, by_y], axis=-2)
+        """Return the (..., k, 2, n) derivative of `positions` by phi [m/rad], of a link that is straight at rest."""
+        return self.slopes(self.node_heading, phi)
+
+    def slopes(self, turning: Array, phi: ArrayLike, root_angle: ArrayLike = 0.0, rest_curvature: float = 0.0) -> Array:
+        """Return (..., k, 2, m) derivatives of `positions` by what turns the nodes' headings by (Q, m) [rad]."""
+        psi = self._node_headings(phi, root_angle, rest_curvature)
+        weighted = (self.weights[:, :, None] * turning).swapaxes(0, 1).reshape(self.nodes.size, -1)
+        shape = (*psi.shape[:-1], self.arcs.size, turning.shape[1])
+        return np.stack([(part @ weighted).reshape(shape) for part in (-np.sin(psi), np.cos(psi))], axis=-2)
+
+    def _node_headings(self, phi: ArrayLike, root_angle: ArrayLike, rest_curvature: float) -> Array:
+        psi: Array = np.asarray(phi, dtype=float) @ self.node_heading.T
+        psi += rest_curvature * self.nodes + np.asarray(root_angle, dtype=float)[..., None]
+        return psi
 
 
 def _curvature_spline(cuts: Cuts) -> BSpline:
@@ -118,10 +126,8 @@ def marker_poses(
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
         if link.joint == "revolute":
             heading = heading + angles[..., part.stop - link.coordinates]
-        phi, root_angle = angles[..., part], np.zeros(angles.shape[:-1])
-        if link.root_stiffness is not None:
-            root_angle = angles[..., part.start - 1]
-        curve, tip = curve_map(link, arcs[i]), curve_map(link, [link.length])
+        phi, root_angle = _shape_angles(link, part, angles)
+        curve = curve_map(link, arcs[i])
         position = curve.positions(phi, root_angle, link.rest_curvature)
         tangent = root_angle[..., None] + phi @ curve.heading.T + link.rest_curvature * curve.arcs
         if not in_link_frame[i] or (i == 0 and link.joint == "clamped"):
@@ -129,9 +135,62 @@ def marker_poses(
             tangent = tangent + heading[..., None]
         positions.append(position)
         headings.append(tangent)
-        origin = origin + rotate(tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :], heading)
-        heading = heading + root_angle + phi @ tip.heading[0] + link.rest_curvature * link.length
+        if i + 1 < len(chain.links):
+            tip = curve_map(link, [link.length])
+            origin = origin + rotate(tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :], heading)
+            heading = heading + root_angle + phi @ tip.heading[0] + link.rest_curvature * link.length
     return np.concatenate(positions, axis=-2), np.concatenate(headings, axis=-1)
+
+
+def marker_pose_slopes(
+    chain: Chain, q: Array, directions: Array, arcs: Sequence[Array], in_link_frame: Sequence[bool]
+) -> tuple[Array, Array]:
+    """Return the derivatives of `marker_poses` along directions (nv, m) of the angles.
+
+    Returns:
+        Those of the positions, (..., k, 2, m) [m/rad], and of the headings, (k, m), which are linear in q.
+    """
+    heading, turning = np.zeros(q.shape[:-1]), np.zeros(directions.shape[1])  # of the link's frame
+    shift = np.zeros((*q.shape[:-1], 1, 2, turning.size))  # of its origin
+    if chain.base is not None:
+        shift += chain.base.axis[:, None] * directions[0]
+    positions, headings = [], []
+    for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
+        if link.joint == "revolute":
+            heading = heading + q[..., part.stop - link.coordinates]
+            turning = turning + directions[part.stop - link.coordinates]
+        shape = *_shape_angles(link, part, q), link.rest_curvature
+        bending, root_turning = _shape_angles(link, part, directions.T)
+        curve = curve_map(link, arcs[i])
+        position = curve.slopes(curve.node_heading @ bending.T + root_turning, *shape)
+        tangent = curve.heading @ bending.T + root_turning
+        if not in_link_frame[i] or (i == 0 and link.joint == "clamped"):
+            position = shift + _rotated_slopes(curve.positions(*shape), position, heading, turning)
+            tangent = tangent + turning
+        positions.append(position)
+        headings.append(tangent)
+        if i + 1 < len(chain.links):
+            tip = curve_map(link, [link.length])
+            slopes = tip.slopes(tip.node_heading @ bending.T + root_turning, *shape)
+            shift = shift + _rotated_slopes(tip.positions(*shape), slopes, heading, turning)
+            heading = heading + shape[1] + shape[0] @ tip.heading[0] + link.rest_curvature * link.length
+            turning = turning + root_turning + bending @ tip.heading[0]
+    return np.concatenate(positions, axis=-3), np.concatenate(headings)
+
+
+def _shape_angles(link: LinkChain, part: slice, q: Array) -> tuple[Array, Array]:
+    """Return the angles of a link's virtual joints (..., n) and of its root (...), zero where it has none."""
+    root = np.zeros(q.shape[:-1]) if link.root_stiffness is None else q[..., part.start - 1]
+    return q[..., part], root
+
+
+def _rotated_slopes(positions: Array, slopes: Array, angle: Array, turning: Array) -> Array:
+    """Return derivatives (..., k, 2, m) of positions (..., k, 2) turned by an angle (...), which turns as well (m,)."""
+    turned = rotate(positions, angle[..., None])
+    across = np.stack([-turned[..., 1], turned[..., 0]], axis=-1)
+    rotated = np.swapaxes(rotate(np.swapaxes(slopes, -1, -2), angle[..., None, None]), -1, -2)
+    result: Array = rotated + across[..., None] * turning
+    return result
 
 
 def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:

@@ -210,6 +210,12 @@ class Arm:
             theta = effect.encoder_angles(theta)
         return theta
 
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return where the camera sees markers (F, k, 2) [m], with headings (F, k) [rad] of the link there, at (F,)."""
+        for effect in self.sensors:
+            positions = effect.marker_positions(positions, headings, time)
+        return positions
+
     @cached_property
     def smooth(self) -> Arm:
         """The arm with what sticks or touches setting in gradually."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from vjm.chain.curve import marker_poses, transfer_state
+from vjm.chain.curve import marker_pose_slopes, marker_poses, transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.records import Array, Indices, Recording, Rig, Simulation
@@ -65,22 +65,26 @@ class MarkerArcs:
             ]
             return np.stack(by_marker, axis=1)
         positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
-        for effect in arm.sensors:
-            positions = effect.marker_positions(positions, headings, time)
-        return positions
+        return arm.marker_positions(positions, headings, time)
 
     def jacobian(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
         """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
-        count = directions.shape[1]
-        # Small at every joint: shapes of a mode with unit modal mass are large on a light arm.
-        steps = DIFFERENCE_STEP / np.maximum(np.abs(directions).max(axis=0, initial=0.0), 1e-300)
-        moved = np.concatenate(
-            [q, *(q + step * shape for step, shape in zip(steps, directions.T, strict=True))], axis=-2
-        )
-        instants = np.tile(time, count + 1)  # all directions in one batch
-        base, *perturbed = np.split(self.measured_positions(arm, moved, instants), count + 1)
-        slopes: Array = (np.stack(perturbed, axis=-1) - base[..., None]) / steps
-        return slopes.reshape(len(base), 2 * base.shape[1], count)
+        if q.ndim == 3:
+            by_marker = [
+                self.jacobian(arm, *exposure, directions)[:, 2 * k : 2 * k + 2]
+                for k, exposure in enumerate(zip(q, time, strict=True))
+            ]
+            return np.concatenate(by_marker, axis=1)
+        slopes, turning = marker_pose_slopes(arm.chain, q, directions, self.lengths, self.in_link_frame)
+        if arm.sensors:  # what they make of the markers is known in values only
+            positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
+            seen = arm.marker_positions(positions, headings, time)
+            # Small at every joint: shapes of a mode with unit modal mass are large on a light arm.
+            steps = DIFFERENCE_STEP / np.maximum(np.abs(directions).max(axis=0, initial=0.0), 1e-300)
+            for k, step in enumerate(steps.tolist()):
+                moved = positions + step * slopes[..., k], headings + step * turning[:, k]
+                slopes[..., k] = (arm.marker_positions(*moved, time) - seen) / step
+        return slopes.reshape(len(q), 2 * turning.shape[0], turning.shape[1])
 
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
