@@ -150,7 +150,7 @@ CERTAIN = [  # name, rigs, mistake, words of the sentence
         "untracked",
         BOTH,
         never_tracked,
-        ["beam.m5 stand exactly where another marker or the base is", "leave these cells empty"],
+        ["beam.m5 stand exactly where another marker or the zero of the coordinates is", "leave these cells empty"],
     ),
     ("payload in g", (hub,), loaded, ["'mass' or 'payload' looks like grams; give both in kg"]),
     ("E in GPa", BOTH, factors(youngs_modulus=1e-9), ["'youngs_modulus' looks like GPa", "in Pa"]),
@@ -442,6 +442,50 @@ def test_zeros_for_what_was_not_tracked_are_left_out(rig: Callable[[], Experimen
     assert np.array_equal(
         np.delete(left, np.s_[100:140], axis=0), np.delete(second.markers, np.s_[100:140], axis=0), equal_nan=True
     )
+
+
+@pytest.mark.parametrize("rig", BOTH)
+@pytest.mark.parametrize("marker", [0, 2, 4])
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (0.3, -0.2), (0.9, -0.6), (1.0, 2.0)])
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.6, 1.0])
+def test_zeros_of_one_marker_are_no_mistake_of_another_kind(
+    rig: Callable[[], Experiment], marker: int, origin: tuple[float, float], share: float
+) -> None:
+    """The camera's zero, where markers that were not tracked seem to be, is anywhere in the base frame."""
+    first, second, *others = rig().recordings
+    rows = np.random.default_rng(0).permutation(second.frames)[: round(share * second.frames.size)]
+    zeros = second.markers.copy()
+    zeros[rows, marker] = origin
+    conventions = Conventions(camera=Camera(origin, 0.3, ("y", "-x")))
+    recordings = (first, replace(second, markers=zeros), *others)
+    experiment = replace(rig(), recordings=recordings, conventions=conventions)
+    found = find_mistakes(experiment)
+    if share < 0.5:
+        assert found == ()
+        left = experiment.cleaned_recordings[1].markers
+        assert np.isnan(left[rows, marker]).all()
+        kept = np.delete(np.arange(left.shape[0]), rows)
+        assert np.array_equal(left[kept], second.markers[kept], equal_nan=True)
+    else:
+        (mistake,) = found
+        assert mistake.certain
+        assert str(mistake).startswith(f"{second.file}: beam.m{marker + 1} stand exactly where")
+
+
+@pytest.mark.parametrize("rig", BOTH)
+def test_zeros_on_the_way_of_a_marker_are_left_out_but_where_it_was_near(rig: Callable[[], Experiment]) -> None:
+    first, second, *others = rig().recordings
+    rows = np.random.default_rng(0).permutation(second.frames)[: second.frames.size // 3]
+    zeros, tip = second.markers.copy(), (1.0, 0.0)
+    zeros[rows, -1] = tip
+    recordings = (first, replace(second, markers=zeros), *others)
+    experiment = replace(rig(), recordings=recordings, conventions=Conventions(camera=Camera(tip)))
+    assert find_mistakes(experiment) == ()
+    kept = rows[np.isfinite(experiment.cleaned_recordings[1].markers[rows, -1]).all(axis=1)]
+    assert kept.size < rows.size / 3
+    steps = np.linalg.norm(np.diff(second.markers[second.frames, -1], axis=0), axis=1)
+    errors = np.linalg.norm(second.markers[kept, -1] - tip, axis=1)
+    assert errors.max(initial=0.0) < 2 * steps.max()
 
 
 def test_an_arm_that_falls_has_no_frequency_that_is_compared() -> None:
