@@ -49,7 +49,9 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
         if not any(mistake.certain for mistake in numbers):
             torques = torque_mistakes(experiment, moments, gains)
             numbers = torques if any(mistake.certain for mistake in torques) else [*numbers, *torques]
-        return (*numbers, *sag_mistakes(experiment), *noise_mistakes(experiment))
+        if not any(mistake.certain for mistake in numbers):
+            numbers = [*numbers, *sag_mistakes(experiment)]
+        return (*numbers, *noise_mistakes(experiment))
 
 
 def _tracked(experiment: Experiment, skipped: Collection[str]) -> Experiment:
