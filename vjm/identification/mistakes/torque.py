@@ -229,7 +229,7 @@ def torque_gains(experiment: Experiment, recordings: list[list[_Balance]]) -> di
         gains += np.max(_payload_gains(link, recording, scales), axis=0)
         if recording[0].kind == "driven" and recording[0].silent:  # it falls only if its kind is wrong as well
             gains -= WRONG * np.array([scale.falls for scale in scales])
-    # Two components were fitted to so many windows: G. Schwarz, Estimating the dimension of a model, Ann. Stat. 6 (1978)
+    # Two components were fitted to so many windows: G. Schwarz, Estimating the dimension of a model, Ann. Stat., 1978.
     windows = sum(recording[0].independent for recording in _informative(recordings))
     gains -= np.log(max(windows, 1.0)) * np.array([scale.undeclared != 0.0 for scale in scales])
     return dict(zip(scales, (gains - gains[0]).tolist(), strict=True))
