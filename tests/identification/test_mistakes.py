@@ -236,7 +236,7 @@ DOUBTS = [  # name, rig, mistake, words of the sentence
     ),
     ("E / 10", clamped, factors(youngs_modulus=0.1), ["would be 0.368 Hz", "what gives the bending stiffness"]),
     ("E x 10", clamped, factors(youngs_modulus=10.0), ["would be 3.68 Hz", "far off; check them"]),
-    ("payload of 100 kg", clamped, loaded, ["would be 0.038 Hz", "payloads"]),
+    ("payload of 100 kg", clamped, loaded, ["would be 0.038 Hz", "'payload' looks like grams"]),
     ("gravity that is not", hub, in_gravity(0.0, -9.81), ["as if there were none", "[base] gravity = [0, 0]"]),
     ("gravity that is not", clamped, in_gravity(0.0, -9.81), ["would bend it by", "[base] gravity = [0, 0]"]),
 ]
