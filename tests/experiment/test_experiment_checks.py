@@ -24,10 +24,12 @@ from vjm.experiment.checks import (
     _gap_warnings,
     _impulse_errors,
     _interpolation_errors,
+    _leaps,
     _torque_difference,
     _unit_warnings,
     cleaned,
     moves,
+    untracked,
 )
 from vjm.experiment.load import load_experiment
 from vjm.records import Experiment, Link, Recording, Rig
@@ -477,3 +479,77 @@ def test_what_is_left_out_does_not_depend_on_the_size_of_the_arm(length: float) 
     recording = Recording(np.arange(20) / 20, markers, kind="decay", file="decay.csv")
     left = cleaned(Rig("rig", (link,)), recording).markers
     assert np.flatnonzero(np.isnan(left).any(axis=(1, 2))).tolist() == [7]
+
+
+CAMERAS = ["", "origin = [0.5, -0.3]\n", 'rotation = 0.4\norigin = [0.1, 0.2]\naxes = ["-y", "x"]\n']
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("unit", ["m", "mm"])
+@pytest.mark.parametrize("marker", [1, 2, 3])
+@pytest.mark.parametrize("lost", [np.s_[30:50], np.s_[:20], np.s_[20::4]])
+def test_zeros_in_a_file_are_what_was_not_tracked_in_any_pose_of_the_camera(
+    tmp_path: Path, camera: str, unit: str, marker: int, lost: slice
+) -> None:
+    def zeros(table: np.ndarray, columns: list[str]) -> None:
+        table[:, [".m" in name for name in columns]] *= 1e3 if unit == "mm" else 1.0
+        for axis in "xy":
+            column = columns.index(f"arm.m{marker}.{axis}")
+            table[lost, column] = np.where(np.isfinite(table[lost, column]), 0.0, np.nan)
+
+    toml = f'{TOML}[camera]\n{camera}[units]\nlength = "{unit}"\n'
+    experiment = load_changed(tmp_path, "drive_1", zeros, toml)
+    seen = np.isfinite(experiment.recordings[0].markers[:, marker - 1]).all(axis=1)
+    rows = seen & np.isin(np.arange(seen.size), np.arange(seen.size)[lost])
+    (sentence,) = (text for text in experiment.warnings if "not tracked" in text)
+    assert f"in {rows.sum()} frames" in sentence
+    assert f"arm.m{marker} stand exactly where another marker or the zero of the coordinates is" in sentence
+    found = untracked(experiment.rig, experiment.recordings[0], experiment.conventions.camera.origin)
+    assert np.array_equal(found[:, marker - 1], rows)
+    assert found.sum() == rows.sum()
+
+
+@pytest.mark.parametrize("frame", ["base", "link"])
+@pytest.mark.parametrize("index", [0, 1])
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_zeros_of_a_single_marker_of_any_link_are_found(frame: str, index: int, share: float) -> None:
+    links = tuple(Link(name, "revolute", 0.5, 0.1, 1.0, (0.5,), markers_frame=frame) for name in ("upper", "fore"))
+    angle = np.sin(3.0 * TIME)
+    upper = 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    fore = 0.5 * np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1)
+    markers = np.stack([upper, upper + fore if frame == "base" else fore], axis=1)
+    origin = (0.3, -0.7)
+    zero = origin if frame == "base" else (0.0, 0.0)
+    markers[: round(share * TIME.size), index] = zero
+    recording = Recording(TIME, markers, np.zeros((TIME.size, 2)), kind="decay", file="decay.csv")
+    found = untracked(Rig("rig", links), recording, origin)
+    assert np.array_equal(found, (markers == zero).all(axis=2))
+    assert found[:, index].mean() == share
+
+
+@pytest.mark.parametrize("rounding", [1e-6, 1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("amplitude", [0.0, 6e-3, 0.02, 0.3])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_marker_that_comes_to_the_camera_s_zero_by_its_motion_was_tracked(
+    rounding: float, amplitude: float, seed: int
+) -> None:
+    """The camera's origin is often put where a marker rests."""
+    swing = amplitude * np.sin(12.0 * TIME) * np.exp(-TIME)
+    places = np.stack([-0.5 * swing**2, swing], axis=-1)
+    places += np.random.default_rng(seed).normal(0.0, NOISE, places.shape)
+    places = np.round(places / rounding) * rounding
+    at_zero = (places == 0.0).all(axis=1)
+    assert not _leaps(TIME, places, at_zero, NOISE, resting=amplitude == 0.0)[at_zero].any()
+    link = Link("beam", "clamped", 1.0, 0.4, 1.0, (1.0,))
+    recording = Recording(TIME, places[:, None] + (1.0, 0.0), kind="quiet" if amplitude == 0.0 else "decay", file="a")
+    assert not untracked(Rig("rig", (link,), marker_noise=NOISE), recording, (1.0, 0.0)).any()
+
+
+def test_a_marker_that_is_nowhere_but_at_the_camera_s_zero_rests_there_or_was_not_tracked() -> None:
+    link = Link("beam", "clamped", 1.0, 0.4, 1.0, (1.0,))
+    for kind, lost in (("quiet", False), ("static", False), ("decay", True)):
+        still = Recording(TIME, np.full((TIME.size, 1, 2), (1.0, 0.0)), kind=kind, file="a.csv")
+        assert untracked(Rig("rig", (link,)), still, (1.0, 0.0)).all() == lost
+        assert untracked(Rig("rig", (link,)), still, (1.0, 0.0)).any() == lost
+        at_base = replace(still, markers=0 * still.markers)
+        assert untracked(Rig("rig", (link,)), at_base, (0.0, 0.0)).all()  # where no marker is

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,6 +21,7 @@ from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.cli import main
 from vjm.diagnosis import diagnose
+from vjm.effects import CoulombFriction, Effect, ViscousFriction
 from vjm.errors import MistakeError
 from vjm.experiment.conventions import Camera, Conventions, Units
 from vjm.identification import identify
@@ -150,9 +151,8 @@ CERTAIN = [  # name, rigs, mistake, words of the sentence
         "untracked",
         BOTH,
         never_tracked,
-        ["beam.m5 stand exactly where another marker or the base is", "leave these cells empty"],
+        ["beam.m5 stand exactly where another marker or the zero of the coordinates is", "leave these cells empty"],
     ),
-    ("payload in g", (hub,), loaded, ["'mass' or 'payload' looks like grams; give both in kg"]),
     ("E in GPa", BOTH, factors(youngs_modulus=1e-9), ["'youngs_modulus' looks like GPa", "in Pa"]),
     ("mass in g", BOTH, factors(mass=1e3), ["'mass' looks like grams", "in kg, 0.44"]),
     ("hub in kg cm^2", (hub,), factors(hub_inertia=1e4), ["'hub_inertia' looks like kg cm^2", "in kg m^2, 0.024"]),
@@ -236,7 +236,7 @@ DOUBTS = [  # name, rig, mistake, words of the sentence
     ),
     ("E / 10", clamped, factors(youngs_modulus=0.1), ["would be 0.368 Hz", "what gives the bending stiffness"]),
     ("E x 10", clamped, factors(youngs_modulus=10.0), ["would be 3.68 Hz", "far off; check them"]),
-    ("payload of 100 kg", clamped, loaded, ["would be 0.038 Hz", "payloads"]),
+    ("payload of 100 kg", clamped, loaded, ["would be 0.038 Hz", "'payload' looks like grams"]),
     ("gravity that is not", hub, in_gravity(0.0, -9.81), ["as if there were none", "[base] gravity = [0, 0]"]),
     ("gravity that is not", clamped, in_gravity(0.0, -9.81), ["would bend it by", "[base] gravity = [0, 0]"]),
 ]
@@ -355,23 +355,41 @@ def test_remedies_start_from_the_conventions_there_are() -> None:
     assert "multiply the column 'Torque' by -1" in str(torque)
 
 
-def hanging(joint: str, gravity: tuple[float, float], stiffness: float) -> Experiment:
-    """Recordings of a chain that hangs in gravity, pushed or, where it is clamped, released."""
+def hanging(
+    joint: str,
+    gravity: tuple[float, float],
+    stiffness: float,
+    *,
+    kind: str = "",
+    payloads: tuple[float, ...] = (0.0, 0.0),
+    payload: float = 0.0,
+    curvature: float = 0.0,
+    friction: Sequence[Effect] = (),
+    turning: float = 0.0,
+) -> Experiment:
+    """Recordings of a chain that hangs in gravity, pushed or, where it is clamped or of kind `decay`, released.
+
+    It may be turning, at so many rad/s, and there may be friction at its joint.
+    """
     random = np.random.default_rng(0)
-    arcs = (0.1, 0.2, 0.3, 0.4, 0.5)
-    link = Link("beam", joint, 0.5, 0.2, stiffness, arcs, hub_inertia=0.01 if joint == "revolute" else 0.0)
+    arcs, revolute = (0.1, 0.2, 0.3, 0.4, 0.5), joint == "revolute"
+    link = Link("beam", joint, 0.5, 0.2, stiffness, arcs, hub_inertia=0.01 if revolute else 0.0, payload=payload)
     rig = Rig("rig", (link,), gravity=gravity, marker_noise=3e-4)
-    chain = Chain("rig", (uniform_chain(link, layout(0.5, 4), kelvin_voigt=5e-4),), gravity=gravity)
+    uniform = replace(uniform_chain(link, layout(0.5, 4), kelvin_voigt=5e-4), rest_curvature=curvature)
+    chain = Chain("rig", (uniform,), gravity=gravity)
     instants, found = np.arange(0, 4, 0.005), []
-    for k in range(2):
+    driven = revolute and kind != "decay"
+    for k, carried in enumerate(payloads):
         wave = np.sin(2 * np.pi * (0.7 + 0.4 * k) * instants) + 0.5 * np.sin(2 * np.pi * 2.1 * instants)
-        torque = 0.1 * wave[:, None] if joint == "revolute" else np.zeros((instants.size, 0))
+        torque = 0.1 * driven * wave[:, None] if revolute else np.zeros((instants.size, 0))
         empty = np.full((instants.size, 5, 2), np.nan)
-        kind = "driven" if joint == "revolute" else "decay"
-        blank = Recording(instants, empty, 0 * torque, torque, kind=kind, file=f"r{k}.csv", gravity=gravity)
-        start = linearise(chain, 0.0, gravity)[3]
-        start = start if joint == "revolute" else start + 0.02 * np.linspace(1.0, 0.3, start.size)
-        motion = simulate(Arm(chain), rig, blank, start, np.zeros(chain.size))
+        given = {"kind": "driven" if driven else "decay", "file": f"r{k}.csv", "gravity": gravity, "payload": carried}
+        blank = Recording(instants, empty, 0 * torque, torque, **given)
+        start = linearise(chain, carried, gravity)[3]
+        start = start if driven else start + (0.4 if revolute else 0.02) * np.linspace(1.0, 0.3, start.size)
+        arm, rates = Arm.of(chain, friction), np.zeros(chain.size)
+        rates[:1] = turning
+        motion = simulate(arm, rig, blank, start, rates)
         places = np.full(motion.markers.shape, np.nan)
         places[::2] = motion.markers[::2] + 3e-4 * random.standard_normal(motion.markers[::2].shape)
         found.append(replace(blank, theta=motion.theta, markers=places))
@@ -410,7 +428,7 @@ def test_a_gravity_of_a_recording_alone_counts_for_its_frequency() -> None:
     [
         ("revolute", (9.81, 0.0), (-9.81, 0.0), "as if it were [9.81, 0]; set [base] gravity = [9.81, 0]"),
         ("revolute", (9.81, 0.0), (0.0, 9.81), "as if it were [9.81, 0]"),
-        ("clamped", (0.0, -9.81), (0.0, 9.81), "to the other side than the declared gravity bends it"),
+        ("clamped", (0.0, -9.81), (0.0, 9.81), "by 76.6 mm, to the other side"),
         ("clamped", (0.0, 0.0), (0.0, 9.81), "if the plane is horizontal, set [base] gravity = [0, 0]"),
     ],
 )
@@ -424,6 +442,117 @@ def test_gravity_of_another_direction(
     (found,) = find_mistakes(in_gravity(*declared)(experiment))
     assert not found.certain
     assert words in str(found)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "curvature", "measured", "sag"),
+    [
+        (
+            (0.0, 0.0),
+            -0.5,
+            -62,
+            "0 mm, its own weight by -76.6 mm: if the plane is vertical, set [base] gravity = [0, -9.8",
+        ),
+        ((0.0, -9.81), 0.6, 1, "-76.6 mm: if the plane is horizontal, set [base] gravity = [0, 0]"),
+        ((0.0, -9.81), 1.1, 61, "-76.6 mm, to the other side: if the signs of x and y are right, set [base] gravity"),
+    ],
+)
+def test_a_link_that_is_curved_at_rest_is_doubted_with_both_numbers(
+    gravity: tuple[float, float], curvature: float, measured: float, sag: str
+) -> None:
+    (found,) = find_mistakes(hanging("clamped", gravity, 0.4, curvature=curvature))
+    assert not found.certain
+    (rest,) = re.findall(r"rests at y = (\S+) mm, and the declared gravity would bend it by ", str(found))
+    assert float(rest) == pytest.approx(measured, abs=4)
+    assert f"would bend it by {sag}" in str(found)
+    assert "unless the link is curved at rest, which vjm diagnose finds as rest_curvature" in str(found)
+
+
+def carrying(experiment: Experiment, *by_recording: float) -> Experiment:
+    """Payloads of recordings times these factors."""
+    pairs = zip(experiment.recordings, by_recording, strict=True)
+    return replace(experiment, recordings=tuple(replace(each, payload=size * each.payload) for each, size in pairs))
+
+
+@pytest.mark.parametrize("joint", ["revolute", "clamped"])
+@pytest.mark.parametrize("gravity", [(0.0, 0.0), (9.81, 0.0)])
+@pytest.mark.parametrize(
+    ("payloads", "wrong"),
+    [
+        ((0.0, 0.012), (1.0, 1e3)),
+        ((0.0, 0.0, 0.05), (1.0, 1.0, 1e3)),
+        ((0.012, 0.02), (1e3, 1.0)),
+        ((0.0, 0.012, 0.05), (1.0, 1e3, 1e3)),
+    ],
+)
+def test_a_payload_in_grams_is_found_in_its_recording(
+    joint: str, gravity: tuple[float, float], payloads: tuple[float, ...], wrong: tuple[float, ...]
+) -> None:
+    right = hanging(joint, gravity, 2.0 if joint == "revolute" else 0.4, payloads=payloads)
+    assert find_mistakes(right) == ()
+    found = find_mistakes(carrying(right, *wrong))
+    assert [one.files for one in found] == [(f"r{k}.csv",) for k, factor in enumerate(wrong) if factor > 1.0]
+    for one in found:
+        (file,) = one.files
+        remedy = f"'payload' looks like grams; give 'payload' of [[recording]] {file} in kg, {payloads[int(file[1])]}"
+        assert remedy.split("; ")[1] in str(one)
+        assert "looks like grams" in str(one)
+
+
+@pytest.mark.parametrize(("joint", "payload"), [("revolute", 0.003), ("revolute", 0.1), ("clamped", 0.1)])
+@pytest.mark.parametrize("carried", [0.0, 0.02])
+def test_a_link_s_payload_in_grams_is_found(joint: str, payload: float, carried: float) -> None:
+    right = hanging(joint, (0.0, 0.0), 2.0 if joint == "revolute" else 0.4, payload=payload, payloads=(0.0, carried))
+    assert find_mistakes(right) == ()
+    (found,) = find_mistakes(factors(payload=1e3)(right))
+    assert found.certain
+    assert "'payload' looks like grams" in str(found)
+    assert f"in kg, {payload}" in str(found)
+
+
+def test_masses_and_payloads_in_grams_are_found_together() -> None:
+    right = hanging("revolute", (0.0, 0.0), 2.0, payload=0.1)
+    (found,) = find_mistakes(factors(payload=1e3, mass=1e3)(right))
+    assert found.certain
+    assert "'mass' and 'payload' look like grams; give both in kg" in str(found)
+
+
+DIRECTIONS = [(0.0, 0.0), (9.81, 0.0), (-9.81, 0.0), (0.0, -9.81)]
+
+
+@pytest.mark.parametrize("stiffness", [0.4, 2.0])
+@pytest.mark.parametrize("gravity", [(0.0, 0.0), (9.81, 0.0)])
+def test_gravity_is_judged_in_free_swings_of_a_hub(stiffness: float, gravity: tuple[float, float]) -> None:
+    right = hanging("revolute", gravity, stiffness, kind="decay")
+    assert find_mistakes(right) == ()
+    for declared in DIRECTIONS:
+        if declared == gravity:
+            continue
+        (found,) = find_mistakes(in_gravity(*declared)(right))
+        assert not found.certain
+        (x, y), size = re.findall(r"set \[base\] gravity = \[(\S+), (\S+)\]", str(found))[0], np.hypot(*gravity)
+        assert np.hypot(float(x) - gravity[0], float(y) - gravity[1]) <= 0.05 * size
+        assert ("unless friction at the joint bears its weight" in str(found)) == (size == 0.0)
+
+
+FRICTION = [(), (ViscousFriction(coefficient=0.004, link=0),), (CoulombFriction(torque=0.05, link=0),)]
+
+
+@pytest.mark.parametrize("friction", FRICTION)
+@pytest.mark.parametrize(("gravity", "turning"), [((0.0, 0.0), 0.5), ((0.0, 0.0), 6.0), ((9.81, 0.0), 0.0)])
+def test_friction_that_ends_a_free_swing_is_no_gravity(
+    friction: Sequence[Effect], gravity: tuple[float, float], turning: float
+) -> None:
+    swing = hanging("revolute", gravity, 2.0, kind="decay", friction=friction, turning=turning)
+    assert find_mistakes(swing) == ()
+
+
+def test_an_arm_that_a_brake_holds_shows_no_gravity() -> None:
+    held = hanging("revolute", (0.0, -9.81), 2.0, payloads=(0.0,))
+    still = recordings(
+        lambda r: replace(r, kind="decay", tau=0 * r.tau, theta=0 * r.theta, markers=0 * r.markers + r.markers[0])
+    )(held)
+    assert find_mistakes(still) == ()
 
 
 @pytest.mark.parametrize("rig", BOTH)
@@ -442,6 +571,50 @@ def test_zeros_for_what_was_not_tracked_are_left_out(rig: Callable[[], Experimen
     assert np.array_equal(
         np.delete(left, np.s_[100:140], axis=0), np.delete(second.markers, np.s_[100:140], axis=0), equal_nan=True
     )
+
+
+@pytest.mark.parametrize("rig", BOTH)
+@pytest.mark.parametrize("marker", [0, 2, 4])
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (0.3, -0.2), (0.9, -0.6), (1.0, 2.0)])
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.6, 1.0])
+def test_zeros_of_one_marker_are_no_mistake_of_another_kind(
+    rig: Callable[[], Experiment], marker: int, origin: tuple[float, float], share: float
+) -> None:
+    """The camera's zero, where markers that were not tracked seem to be, is anywhere in the base frame."""
+    first, second, *others = rig().recordings
+    rows = np.random.default_rng(0).permutation(second.frames)[: round(share * second.frames.size)]
+    zeros = second.markers.copy()
+    zeros[rows, marker] = origin
+    conventions = Conventions(camera=Camera(origin, 0.3, ("y", "-x")))
+    recordings = (first, replace(second, markers=zeros), *others)
+    experiment = replace(rig(), recordings=recordings, conventions=conventions)
+    found = find_mistakes(experiment)
+    if share < 0.5:
+        assert found == ()
+        left = experiment.cleaned_recordings[1].markers
+        assert np.isnan(left[rows, marker]).all()
+        kept = np.delete(np.arange(left.shape[0]), rows)
+        assert np.array_equal(left[kept], second.markers[kept], equal_nan=True)
+    else:
+        (mistake,) = found
+        assert mistake.certain
+        assert str(mistake).startswith(f"{second.file}: beam.m{marker + 1} stand exactly where")
+
+
+@pytest.mark.parametrize("rig", BOTH)
+def test_zeros_on_the_way_of_a_marker_are_left_out_but_where_it_was_near(rig: Callable[[], Experiment]) -> None:
+    first, second, *others = rig().recordings
+    rows = np.random.default_rng(0).permutation(second.frames)[: second.frames.size // 3]
+    zeros, tip = second.markers.copy(), (1.0, 0.0)
+    zeros[rows, -1] = tip
+    recordings = (first, replace(second, markers=zeros), *others)
+    experiment = replace(rig(), recordings=recordings, conventions=Conventions(camera=Camera(tip)))
+    assert find_mistakes(experiment) == ()
+    kept = rows[np.isfinite(experiment.cleaned_recordings[1].markers[rows, -1]).all(axis=1)]
+    assert kept.size < rows.size / 3
+    steps = np.linalg.norm(np.diff(second.markers[second.frames, -1], axis=0), axis=1)
+    errors = np.linalg.norm(second.markers[kept, -1] - tip, axis=1)
+    assert errors.max(initial=0.0) < 2 * steps.max()
 
 
 def test_an_arm_that_falls_has_no_frequency_that_is_compared() -> None:

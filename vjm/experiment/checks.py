@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 # Of the link's length, or of a radian: as much as a sensor may have where the experiment does not give it.
 DEFAULT_NOISE = 1e-3
 MIN_FRAMES = 10  # usable ones, for a recording to be worth anything
+UNTRACKED_PLACE = "where another marker or the zero of the coordinates is"
 
 
 def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: Conventions) -> Iterator[str]:
@@ -39,19 +40,22 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: 
     yield from _copy_warnings(recordings)
 
 
-def cleaned(rig: Rig, recording: Recording) -> Recording:
+def cleaned(rig: Rig, recording: Recording, camera_origin: tuple[float, float] = (0.0, 0.0)) -> Recording:
     """Return the recording without markers that were not tracked, are too far apart for their link, or are clipped.
 
     Of one whose torques are unknown for too long, a part. `Experiment.warnings` reports all of this. A frame in which
     leaving out one marker of a link makes the others possible loses that marker; any other such frame loses all markers
     of the link. A recording with nothing wrong is returned itself.
 
+    Args:
+        rig: the arm.
+        recording: as it was read.
+        camera_origin: where the zero of the camera's coordinates is in the base frame [m].
+
     Raises:
         RecordingError: no frame of a link is left.
     """
-    recording = _without_gaps(rig, recording)
-    if (lost := untracked(rig, recording)).any():
-        recording = replace(recording, markers=np.where(lost[..., None], np.nan, recording.markers))
+    recording = tracked(rig, _without_gaps(rig, recording), camera_origin)
     coordinates = recording.markers.reshape(len(recording.time), -1)
     clipped = np.zeros(coordinates.shape, dtype=np.bool_)
     for column, _, begin, _ in _clippings(coordinates):  # shorter runs at the same value, at smaller peaks, as well
@@ -231,19 +235,59 @@ def _marker_angle_noise(rig: Rig, link: Link) -> float:
     return DEFAULT_NOISE if rig.marker_noise is None else rig.marker_noise / link.length
 
 
-def untracked(rig: Rig, recording: Recording) -> Mask:
-    """Return (T, k) where a marker is exactly where another one of its link, or the base, is.
+def tracked(rig: Rig, recording: Recording, camera_origin: tuple[float, float]) -> Recording:
+    """Return the recording without markers that were not tracked, itself if there are none."""
+    lost = untracked(rig, recording, camera_origin)
+    return replace(recording, markers=np.where(lost[..., None], np.nan, recording.markers)) if lost.any() else recording
 
-    No camera measures that: it is what some programs write of markers that they did not see.
+
+def untracked(rig: Rig, recording: Recording, camera_origin: tuple[float, float]) -> Mask:
+    """Return (T, k) where a marker is exactly where another one of its link is, or at the zero of its coordinates.
+
+    It is what some programs write of markers that they did not see. In the link's frame the zero is the link's root,
+    and the base's zero that of the first link, where no marker is. The camera's zero is `camera_origin` in the base
+    frame [m]: a place like any other, that only a marker which leaps there and back did not reach.
     """
     found = np.zeros(recording.markers.shape[:2], dtype=np.bool_)
     for index, (link, marker_slice) in enumerate(zip(rig.links, rig.marker_slices, strict=True)):
-        points = recording.markers[:, marker_slice]
-        if index == 0 and link.markers_frame == "base":
-            points = np.concatenate([points, np.zeros_like(points[:, :1])], axis=1)
+        points, lost = recording.markers[:, marker_slice], found[:, marker_slice]
         same = (points[:, :, None] == points[:, None]).all(axis=3) & ~np.eye(points.shape[1], dtype=np.bool_)
-        found[:, marker_slice] = same.any(axis=2)[:, : len(link.markers)]
+        lost |= same.any(axis=2)
+        if index == 0 or link.markers_frame == "link":
+            lost |= (points == 0.0).all(axis=2)
+        at_zero = (points == np.array(camera_origin)).all(axis=2) & ~lost
+        for column in np.flatnonzero(at_zero.any(axis=0)).tolist() if link.markers_frame == "base" else ():
+            others = ~lost[:, column] & np.isfinite(points[:, column]).all(axis=1)
+            resting = recording.kind in ("quiet", "static")
+            noise = rig.marker_noise or DEFAULT_NOISE * link.length
+            lost[others, column] = _leaps(
+                recording.time[others], points[others, column], at_zero[others, column], noise, resting
+            )
     return found
+
+
+def _leaps(time: Array, places: Array, at_zero: Mask, noise: float, resting: bool) -> Mask:
+    """Return at which instants (N,) [s] a marker, at places (N, 2) [m], is at zero by a leap, and not by its motion.
+
+    A motion comes to zero and leaves it by steps as it takes elsewhere, which its noise [m] and rounding widen; one
+    that is never elsewhere is at rest there, if the arm is.
+    """
+    if at_zero.all():
+        return np.full(at_zero.size, not resting)
+    elsewhere, intervals = ~at_zero, np.diff(time)
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    usual = steps[elsewhere[1:] & elsewhere[:-1] & (intervals <= 1.5 * np.median(intervals))]
+    if not usual.size:  # zero in every other frame, or more
+        usual = np.hypot(*np.diff(places[elsewhere], axis=0).T)
+    # Chance reaches 6 sigma once in 1e9 comparisons; what is rounded moves by whole steps of the rounding.
+    rounding = float(steps[steps > 0].min())
+    widened = 6.0 * np.sqrt(2.0) * max(noise, rounding)
+    leap = steps > usual.max(initial=0.0) + widened
+    edges = np.flatnonzero(np.diff(at_zero, prepend=False, append=False))
+    leaping = np.zeros(at_zero.size, dtype=np.bool_)
+    for begin, end in edges.reshape(-1, 2).tolist():
+        leaping[begin:end] = leap[max(begin - 1, 0) : begin].any() or leap[end - 1 : end].any()
+    return leaping
 
 
 def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
@@ -305,7 +349,7 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     time, markers = recording.time[frames], recording.markers[frames]
     names = [*rig.marker_names]
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
-    lost = untracked(rig, recording)[frames]
+    lost = untracked(rig, recording, conventions.camera.origin)[frames]
     markers = np.where(lost[..., None], np.nan, markers)
     yield from _absence_warnings(markers, names, needs_x)
     if lost.any():
@@ -313,7 +357,7 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
         together = listed([names[k] for k in np.flatnonzero(lost.any(axis=0))])
         yield (
             f"in {counted(int(rows.sum()), 'frame')} (first at t = {time[rows][0]:.6g} s) {together} stand exactly "
-            "where another marker or the base is: zeros, as it seems, of what was not tracked, and left out"
+            f"{UNTRACKED_PLACE}: zeros, as it seems, of what was not tracked, and left out"
         )
     yield from _gap_warnings(time)
     driving = "theta" if recording.input == "motion" else "tau"

@@ -434,7 +434,7 @@ class Experiment:
         Raises:
             RecordingError: nothing is left of a link's markers in a recording.
         """
-        return tuple(cleaned(self.rig, recording) for recording in self.recordings)
+        return tuple(cleaned(self.rig, recording, self.conventions.camera.origin) for recording in self.recordings)
 
     def with_role(self, role: Role) -> tuple[Recording, ...]:
         """Return the recordings of one role as they were read, in order."""

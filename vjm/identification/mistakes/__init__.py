@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
 from vjm.errors import MistakeError
+from vjm.experiment.checks import MIN_FRAMES, tracked
 from vjm.identification.mistakes.evidence import Mistake
 from vjm.identification.mistakes.geometry import (
     distance_mistakes,
@@ -31,6 +34,7 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
         lengths = [mistake for link in experiment.rig.links if (mistake := length_mistake(link))]
         untracked = tuple(untracked_mistakes(experiment))
         skipped = {file for mistake in untracked for file in mistake.files}
+        experiment = _tracked(experiment, skipped)
         geometric = [*lengths, *untracked, *distance_mistakes(experiment, skipped), *sideways_mistakes(experiment)]
         wrong_files = {file for mistake in geometric for file in mistake.files}
         if lengths or len(wrong_files) == len({recording.file for recording in experiment.recordings}):
@@ -45,7 +49,21 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
         if not any(mistake.certain for mistake in numbers):
             torques = torque_mistakes(experiment, moments, gains)
             numbers = torques if any(mistake.certain for mistake in torques) else [*numbers, *torques]
-        return (*numbers, *sag_mistakes(experiment), *noise_mistakes(experiment))
+        if not any(mistake.certain for mistake in numbers):
+            numbers = [*numbers, *sag_mistakes(experiment)]
+        return (*numbers, *noise_mistakes(experiment))
+
+
+def _tracked(experiment: Experiment, skipped: Collection[str]) -> Experiment:
+    """Return the experiment without markers that were not tracked; recordings that are skipped are left as they are."""
+    rig, origin = experiment.rig, experiment.conventions.camera.origin
+    recordings = tuple(
+        recording if recording.file in skipped else tracked(rig, recording, origin)
+        for recording in experiment.recordings
+    )
+    enough = all(recording.frames.size >= MIN_FRAMES for recording in recordings)
+    changed = any(new is not old for new, old in zip(recordings, experiment.recordings, strict=True))
+    return replace(experiment, recordings=recordings) if enough and changed else experiment
 
 
 def refuse_mistakes(experiment: Experiment) -> tuple[str, ...]:

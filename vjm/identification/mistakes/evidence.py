@@ -14,6 +14,8 @@ from vjm.records import Array, Indices, Mask, Recording, Rig
 # Logarithms of how many times likelier the data are with the mistake than without: a mistake is certain where the data
 # alone would fool us once in a million experiments, as in vjm.experiment.spectrum, and likely at once in a thousand.
 CERTAIN, LIKELY = float(np.log(1e6)), float(np.log(1e3))
+WRONG = float(np.log(100.0))  # cost in log-likelihood of a number: one in a hundred is in the wrong unit
+GRAM = 1e-3  # kg
 EARTH = 9.81  # m/s^2, its gravity
 
 
@@ -50,6 +52,11 @@ def negated(column: str) -> str:
 def gravity_key(rig: Rig, gravity: tuple[float, float]) -> str:
     """Return where a gravity [m/s^2] that recordings have is declared."""
     return "[base] gravity" if gravity == rig.gravity else "gravity in the [[recording]]"
+
+
+def payload_remedy(file: str, payload: float) -> str:
+    """Return the remedy of a recording's payload that was read in kg but is in grams."""
+    return f"give 'payload' of [[recording]] {file} in kg, {payload * GRAM:.4g}"
 
 
 def unit_factors(quantity: str, current: str) -> dict[str, float]:

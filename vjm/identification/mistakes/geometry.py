@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vjm.experiment.checks import untracked
+from vjm.experiment.checks import UNTRACKED_PLACE, untracked
 from vjm.experiment.conventions import FACTORS, Conventions
 from vjm.identification.mistakes.evidence import (
     LIKELY,
@@ -46,11 +46,11 @@ def untracked_mistakes(experiment: Experiment) -> Iterator[Mistake]:
     rig = experiment.rig
     for recording in experiment.recordings:
         seen = np.isfinite(recording.markers).all(axis=2).sum(axis=0)
-        lost = untracked(rig, recording).sum(axis=0) > 0.5 * seen
+        lost = untracked(rig, recording, experiment.conventions.camera.origin).sum(axis=0) > 0.5 * seen
         if lost.any():
             names = listed([rig.marker_names[k] for k in np.flatnonzero(lost)])
             text = (
-                f"{names} stand exactly where another marker or the base is in most frames: "
+                f"{names} stand exactly {UNTRACKED_PLACE} in most frames: "
                 "zeros, as it seems, of what was not tracked; leave these cells empty, or leave the recording out"
             )
             yield Mistake(text, np.inf, (recording.file,))

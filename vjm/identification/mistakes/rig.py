@@ -8,16 +8,29 @@ without a mistake is what is said beside the numbers; they cover what arms are m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 import numpy as np
 from scipy.stats import norm
 
 from vjm.chain.layout import nominal_chain, rig_layouts
+from vjm.chain.virtual_links import Chain
 from vjm.errors import VjmError
 from vjm.experiment.spectrum import measured_noise
-from vjm.identification.mistakes.evidence import CERTAIN, EARTH, LIKELY, Mistake, gravity_key, seen_modes, unit_factors
+from vjm.identification.mistakes.evidence import (
+    CERTAIN,
+    EARTH,
+    GRAM,
+    LIKELY,
+    WRONG,
+    Mistake,
+    gravity_key,
+    payload_remedy,
+    seen_modes,
+    unit_factors,
+)
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Experiment, Link, Recording, Rig
 from vjm.simulation.integrate import locked_joint_frequencies
@@ -27,8 +40,10 @@ from vjm.simulation.integrate import locked_joint_frequencies
 _DENSITY = 2700.0, np.log(3.0)  # kg/m^3
 _SPECIFIC_STIFFNESS = 3e6, np.log(20.0)  # m^2/s^2, E over density
 _MASS = 0.5, np.log(6.0)  # kg
+_PAYLOAD = 0.3, np.log(6.0)  # over the link's mass
 _RATE = 100.0, np.log(4.0)  # Hz, of cameras
 _FREQUENCY = np.log(1.5)  # of a ratio of frequencies: EI is known within a factor of two or so
+_RATIO = np.log(1.1)  # of two recordings' frequencies, whose stiffness is the same: masses are known to some 20 %
 _HIGHER = 2.0  # cost in log-likelihood of supposing that the slowest mode seen is not the first, but so many on
 _SURPRISING = 0.5 * norm.isf(0.005) ** 2  # log-likelihood that is lost by chance once in a hundred times
 _SLENDERNESS = 0.3, np.log(1.5)  # of thickness over length, above which a link is hardly a beam
@@ -49,10 +64,40 @@ class _Numbers:
     modulus: float = 1.0
     stiffness: float = 1.0  # of a bending stiffness that is given as such
     mass: float = 1.0
+    payload: float = 1.0  # of the link
+    carried: float = 1.0  # the payload of the recording that shows a frequency
     time: float = 1.0
 
 
-def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
+@dataclass(frozen=True)
+class _Frequencies:
+    """Slowest frequencies of the arm, joints held where no recording of a single link shows one.
+
+    Attributes:
+        rig: the arm.
+        recording: the one that shows a frequency, or whose payload the joints hold; None where nothing moves.
+        measured: the slowest frequency that it shows [Hz].
+        nominal: (m,) slowest ones of the rig's numbers [Hz].
+    """
+
+    rig: Rig
+    recording: Recording | None
+    measured: float | None
+    nominal: Array
+
+    def expected(self, mass: float, payload: float, carried: float) -> Array:
+        """Return the nominal frequencies (m,) [Hz] with factors on the link's mass, its payload and the recording's."""
+        if self.measured is None or self.recording is None:  # an arm of several links, perhaps
+            return np.asarray(self.nominal / np.sqrt(mass))
+        if mass == payload == carried == 1.0:
+            return self.nominal
+        link = self.rig.links[0]
+        link = replace(link, mass=mass * link.mass, payload=payload * link.payload)
+        rig = replace(self.rig, links=(link,))
+        return _nominal_frequencies(rig, self.recording, carried * self.recording.payload)
+
+
+def _hypotheses(experiment: Experiment, link: Link, recording: Recording | None) -> list[_Numbers]:
     table, hypotheses = f"[[link]] {link.name}", []
     dimensions = {"width": link.width, "thickness": link.thickness}
     for key, value in dimensions.items():
@@ -73,8 +118,14 @@ def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
     else:
         remedy = f"give 'bending_stiffness' of {table} in N m^2, {link.bending_stiffness * 1e-6:.4g}"
         hypotheses.append(_Numbers("modulus", "'bending_stiffness' looks like N mm^2", remedy, stiffness=1e-6))
-    remedy = f"give 'mass' of {table} in kg, {link.mass * 1e-3:.4g}"
-    hypotheses.append(_Numbers("mass", "'mass' looks like grams", remedy, mass=1e-3))
+    remedy = f"give 'mass' of {table} in kg, {link.mass * GRAM:.4g}"
+    hypotheses.append(_Numbers("mass", "'mass' looks like grams", remedy, mass=GRAM))
+    if link.payload:
+        remedy = f"give 'payload' of {table} in kg, {link.payload * GRAM:.4g}"
+        hypotheses.append(_Numbers("payload", "'payload' looks like grams", remedy, payload=GRAM))
+    if recording and recording.payload:
+        text, remedy = "its 'payload' looks like grams", payload_remedy(recording.file, recording.payload)
+        hypotheses.append(_Numbers("carried", text, remedy, carried=GRAM))
     words = {"s": "seconds", "ms": "milliseconds", "us": "microseconds"}
     for unit, factor in unit_factors("time", experiment.conventions.units.time).items():
         text, remedy = f"times look like {words[unit]}", f'set [units] time = "{unit}"'
@@ -89,26 +140,30 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
     filmed = moving or experiment.recordings
     rates = [1 / float(np.median(np.diff(recording.time[recording.frames]))) for recording in filmed]
     rate = float(np.median(rates))
-    measured, nominal, file = _frequencies(experiment)
-    single = _hypotheses(experiment, link)
+    shown = _frequencies(experiment)
+    measured = shown.measured
+    loaded = shown.recording if shown.recording and measured else None
+    carried = loaded.payload if loaded else 0.0
+    single = _hypotheses(experiment, link, loaded)
     pairs = [(first, second) for first, second in combinations(single, 2) if first.name != second.name]
+    expected_of = cache(shown.expected)
 
     def likelihood(*assumed: _Numbers) -> float:
         factors = {
             key: float(np.prod([getattr(hypothesis, key) for hypothesis in assumed]))
-            for key in ("width", "thickness", "modulus", "stiffness", "mass", "time")
+            for key in ("width", "thickness", "modulus", "stiffness", "mass", "payload", "carried", "time")
         }
-        fit = -np.log(100.0) * len(assumed)  # one number in a hundred is in the wrong unit
+        fit = -WRONG * len(assumed)
         fit += _material(link, factors) + _normal(rate / factors["time"], *_RATE)
+        payloads = link.payload * factors["payload"], carried * factors["carried"]
+        fit += sum(_normal(payload / (link.mass * factors["mass"]), *_PAYLOAD) for payload in payloads if payload)
         bending = factors["width"] * factors["thickness"] ** 3 * factors["modulus"] * factors["stiffness"]
-        expected = nominal * np.sqrt(bending / factors["mass"])
+        expected = expected_of(factors["mass"], factors["payload"], factors["carried"]) * np.sqrt(bending)
         if measured is None:  # nobody films what swings with frames too few to show it
-            shown = rate / factors["time"] / (2 * expected[:1])
-            fit += sum(_normal(float(share), 1.0, _RATE[1]) for share in shown if share < 1.0)
+            shares = rate / factors["time"] / (2 * expected[:1])
+            fit += sum(_normal(float(share), 1.0, _RATE[1]) for share in shares if share < 1.0)
         else:
-            deviation = np.log(measured / factors["time"] / expected)
-            # A hub's own inertia does not scale with the link's mass: good to the factor that is allowed anyway.
-            fit += float(np.max(-0.5 * (deviation / _FREQUENCY) ** 2 - _HIGHER * np.arange(expected.size)))
+            fit -= _loss(np.log(measured / factors["time"] / expected), _FREQUENCY)
         return float(fit)
 
     results: dict[tuple[_Numbers, ...], float] = {(): likelihood()} | {
@@ -117,18 +172,62 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
     results |= {pair: likelihood(*pair) for pair in pairs}
     best = max(results, key=lambda key: results[key])
     gain = results[best] - results[()]
+    factor = float(np.prod([hypothesis.carried for hypothesis in best])) if gain > LIKELY else 1.0
+    payloads = _payload_mistakes(experiment, shown, expected_of(1.0, 1.0, factor))
     if gain < LIKELY:
-        return [] if measured is None else _frequency_mistakes(link, measured, nominal, file)
-    return [Mistake(_rig_text(link, best, rate, measured, nominal, file), gain)]
+        return payloads or _frequency_mistakes(link, shown)
+    return [Mistake(_rig_text(link, best, rate, shown), gain), *payloads]
 
 
-def _frequency_mistakes(link: Link, measured: float, nominal: Array, file: str) -> list[Mistake]:
-    """Return that the slowest frequency that a clamped link shows [Hz] is far from what the rig's numbers make of it.
+def _loss(deviations: Array, std: float) -> float:
+    """Return the log-likelihood lost by a frequency's deviations (m,) from the slowest ones, of which it is any."""
+    losses = 0.5 * (deviations / std) ** 2 + _HIGHER * np.arange(deviations.size)
+    return float(np.min(losses, initial=np.inf))
+
+
+def _payload_mistakes(experiment: Experiment, shown: _Frequencies, nominal: Array) -> list[Mistake]:
+    """Return payloads of a clamped link's recordings that are in grams, by their frequencies over that of another one.
+
+    That one's nominal frequencies [Hz] are given; its own payload, if any, is judged with the rig's numbers.
+    """
+    rig, mistakes = experiment.rig, []
+    if shown.measured is None or shown.recording is None or rig.links[0].joint != "clamped" or not nominal.size:
+        return []
+    order = _HIGHER * np.arange(nominal.size)
+    reference = 0.5 * (np.log(shown.measured / nominal) / _FREQUENCY) ** 2 + order  # what it loses as each of these
+    for recording in experiment.recordings:
+        if not recording.payload or recording is shown.recording:
+            continue
+        expected = [_nominal_frequencies(rig, recording, factor * recording.payload) for factor in (1.0, GRAM)]
+        frequencies = seen_modes(rig, recording, 1)
+        if not frequencies.size or not all(each.size for each in expected):
+            continue
+        ratios = frequencies[0] / shown.measured * nominal
+        as_given, in_grams = (
+            min(loss + _loss(np.log(ratio / each), _RATIO) for loss, ratio in zip(reference, ratios, strict=True))
+            for each in expected
+        )
+        gain = as_given - in_grams - WRONG
+        if gain > LIKELY and in_grams - reference.min() < _SURPRISING:
+            text = (
+                f"it shows {frequencies[0]:.3g} Hz beside the {shown.measured:.3g} Hz of {shown.recording.file}, far "
+                f"from what a payload of {recording.payload:.4g} kg makes of them: 'payload' looks like grams; "
+                f"{payload_remedy(recording.file, recording.payload)}"
+            )
+            mistakes.append(Mistake(text, float(gain), (recording.file,)))
+    return mistakes
+
+
+def _frequency_mistakes(link: Link, shown: _Frequencies) -> list[Mistake]:
+    """Return that the slowest frequency that a clamped link shows is far from what the rig's numbers make of it.
 
     That of a driven one depends on its hub's inertia, which is often a guess, and is masked by the drive.
     """
-    loss = float(np.min(0.5 * (np.log(measured / nominal) / _FREQUENCY) ** 2 + _HIGHER * np.arange(nominal.size)))
-    if link.joint != "clamped" or loss < _SURPRISING:
+    if shown.measured is None or shown.recording is None or link.joint != "clamped":
+        return []
+    measured, nominal, file = shown.measured, shown.nominal, shown.recording.file
+    loss = _loss(np.log(measured / nominal), _FREQUENCY)
+    if loss < _SURPRISING:
         return []
     text = (
         f"{link.name}'s first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz: "
@@ -138,10 +237,8 @@ def _frequency_mistakes(link: Link, measured: float, nominal: Array, file: str) 
     return [Mistake(text, min(loss, CERTAIN))]
 
 
-def _rig_text(
-    link: Link, best: Sequence[_Numbers], rate: float, measured: float | None, nominal: Array, file: str
-) -> str:
-    findings = []
+def _rig_text(link: Link, best: Sequence[_Numbers], rate: float, shown: _Frequencies) -> str:
+    measured, nominal, findings = shown.measured, shown.nominal, []
     if any(hypothesis.name == "time" for hypothesis in best):
         arm = (
             f" of an arm that swings at {nominal[0]:.3g} Hz, its joints held"
@@ -152,8 +249,12 @@ def _rig_text(
     elif None not in (link.width, link.thickness):
         volume = link.length * (link.width or 1.0) * (link.thickness or 1.0)
         findings.append(f"{link.name} would have {link.mass / volume:.3g} kg/m^3")
-    if measured is not None:
-        findings.append(f"its first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz")
+    if measured is not None and shown.recording is not None:
+        file = shown.recording.file
+        whose = "its" if findings else f"{link.name}'s"
+        findings.append(
+            f"{whose} first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz"
+        )
     causes = " and ".join(hypothesis.text for hypothesis in best)
     return f"{', '.join(findings) or link.name}: {causes}; {'; '.join(hypothesis.remedy for hypothesis in best)}"
 
@@ -178,11 +279,8 @@ def _material(link: Link, factors: dict[str, float]) -> float:
     return fit
 
 
-def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
-    """Return the slowest frequency that a recording of a single link shows [Hz], the nominal ones, and its file.
-
-    Without such a frequency, and of more links, the nominal ones are those of the arm with its joints locked.
-    """
+def _frequencies(experiment: Experiment) -> _Frequencies:
+    """Return the slowest frequency that a recording of a single link shows, one of the least payload."""
     rig = experiment.rig
     moving = [
         recording
@@ -190,21 +288,37 @@ def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
         if recording.kind in ("driven", "decay") and recording.input == "torque"
     ]
     if not moving:
-        return None, np.zeros(0), ""
-    chain = nominal_chain(rig, rig_layouts(rig, [6] * len(rig.links)))
-    order = sorted(moving, key=lambda recording: (recording.kind != "decay", recording.role != "train"))
+        return _Frequencies(rig, None, None, np.zeros(0))
+    order = sorted(
+        moving, key=lambda recording: (recording.payload, recording.kind != "decay", recording.role != "train")
+    )
+    for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
+        if (frequencies := seen_modes(rig, recording, 1)).size:
+            nominal = _nominal_frequencies(rig, recording, recording.payload)
+            if nominal.size:
+                return _Frequencies(rig, recording, float(frequencies[0]), nominal)
     try:
-        for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
-            if (frequencies := seen_modes(rig, recording, 1)).size:
-                M, D, K, _ = linearise(chain, recording.payload, recording.gravity)
-                stiffness = np.linalg.eigvalsh(K)
-                if stiffness[0] < -_ROUNDING * stiffness[-1]:  # it falls, which is no vibration
-                    continue
-                if (nominal := modes_of(M, D, K).frequencies[:4]).size:
-                    return float(frequencies[0]), nominal, recording.file
-        return None, np.array(locked_joint_frequencies(chain, order[0].payload)[:1]), ""
+        locked = np.array(locked_joint_frequencies(_chain(rig), order[0].payload)[:1])
     except VjmError:  # a link that buckles under its weight
-        return None, np.zeros(0), ""
+        locked = np.zeros(0)
+    return _Frequencies(rig, order[0], None, locked)
+
+
+def _chain(rig: Rig) -> Chain:
+    return nominal_chain(rig, rig_layouts(rig, [6] * len(rig.links)))
+
+
+def _nominal_frequencies(rig: Rig, recording: Recording, payload: float) -> Array:
+    """Return the slowest frequencies (m,) of the rig's numbers [Hz] under a recording's gravity and a payload [kg].
+
+    There are none of a link that falls, which is no vibration, or buckles.
+    """
+    try:
+        M, D, K, _ = linearise(_chain(rig), payload, recording.gravity)
+    except VjmError:
+        return np.zeros(0)
+    stiffness = np.linalg.eigvalsh(K)
+    return np.zeros(0) if stiffness[0] < -_ROUNDING * stiffness[-1] else modes_of(M, D, K).frequencies[:4]
 
 
 def noise_mistakes(experiment: Experiment) -> list[Mistake]:
@@ -267,28 +381,32 @@ def _other_sag(rig: Rig, gravity: tuple[float, float], recordings: Sequence[Reco
     across = np.array([gravity[1], 0.0, -EARTH, EARTH])
     # Euler-Bernoulli, a uniform load and one on the tip; of half the length, it is no longer proportional.
     sags = np.outer(across, (link.mass / 8 + payloads / 3) * link.length**3 / link.bending_stiffness)
-    sags = np.clip(sags, -0.5 * link.length, 0.5 * link.length)
-    sags *= (link.markers[-1] / link.length) ** 2  # of the outermost marker, nearly
+    largest = 0.5 * link.length
+    share = (link.markers[-1] / link.length) ** 2  # of the outermost marker, nearly
+    sags = np.clip(sags, -largest, largest) * share
     known = np.isfinite(rests)
     if not known.any():
         return None
     rest, sag = (np.median(np.asarray(values)[..., known], axis=-1) for values in (rests, sags))
-    curved = _CURVED * link.length
+    straight = _CURVED * link.length
     bent = np.log(np.maximum(rest / np.where(sag == 0.0, 1.0, sag), 1e-300)) / np.log(1.5)
-    likelihoods = -0.5 * np.where(np.abs(sag) < curved, rest / curved, bent) ** 2
+    likelihoods = -0.5 * np.where(np.abs(sag) < straight, rest / straight, bent) ** 2
     best = int(np.argmax(likelihoods))
     gain = float(likelihoods[best] - likelihoods[0]) - np.log(2.0)
     if gain < LIKELY:
         return None
-    finding = f"the outermost marker of {link.name} rests {1e3 * abs(rest):.3g} mm beside the clamp's direction"
-    other = f"{gravity_key(rig, gravity)} = [{gravity[0]:.3g}, {across[best]:.3g}]"
+    bends = "more than " if abs(sag[0]) >= largest * share else ""
+    finding = (
+        f"the outermost marker of {link.name} rests at y = {1e3 * rest:.3g} mm, and the declared gravity would bend it "
+        f"by {bends}{1e3 * sag[0]:.3g} mm"
+    )
     if not gravity[1]:
-        finding += (
-            ", about as far as its own weight would bend it, and no gravity is declared; if the plane is vertical"
-        )
+        finding += f", its own weight by {1e3 * sag[best]:.3g} mm: if the plane is vertical"
     elif best == 1:
-        finding += f", and the declared gravity would bend it by {1e3 * abs(sag[0]):.3g} mm; if the plane is horizontal"
+        finding += ": if the plane is horizontal"
     else:
-        finding += ", to the other side than the declared gravity bends it; if the signs of x and y are right"
+        finding += ", to the other side: if the signs of x and y are right"
+    remedy = f"set {gravity_key(rig, gravity)} = [{gravity[0]:.3g}, {across[best]:.3g}]"
+    curved = "unless the link is curved at rest, which vjm diagnose finds as rest_curvature"
     files = tuple(recording.file for recording in recordings)
-    return Mistake(f"{finding}, set {other}", min(gain, CERTAIN), files)
+    return Mistake(f"{finding}, {remedy}, {curved}", min(gain, CERTAIN), files)

@@ -13,25 +13,29 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS
 from vjm.identification.mistakes.evidence import (
     CERTAIN,
     EARTH,
+    GRAM,
     LIKELY,
+    WRONG,
     Mistake,
     angle_at,
     gravity_key,
     negated,
+    payload_remedy,
     root_headings,
     seen_markers,
 )
 from vjm.records import Array, Experiment, Link, Recording, Rig
 
-_GRAM = 1e-3  # kg
 _HUB_UNITS = {1e-4: "kg cm^2", 1e-6: "kg mm^2", 1e-7: "g cm^2"}  # as motors' data sheets have them, by size [kg m^2]
-_ROUGHLY = np.geomspace(0.1, 10.0, 5)  # of a hub's inertia that is given
+_ROUGHLY = np.geomspace(0.1, 10.0, 9)  # of a hub's inertia that is given
 _UNKNOWN = np.array([0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])  # of the link's, where none is given
 _SEVERALFOLD = 0.1, 10.0  # of masses that are no unit's: of the right order of magnitude if that is wrong
+_AS_DECLARED = np.ones(3)
 _SHORTEST = 16  # samples of a window: its second derivative is then sampled well
 
 
@@ -39,30 +43,75 @@ class _Scales(NamedTuple):
     """Hypothesis: true torque, inertias and gravity over those that are given; by default none is wrong."""
 
     torque: float = 1.0
-    mass: float = 1.0  # of the link and of what it carries
+    mass: float = 1.0  # of the link
+    payload: float = 1.0  # of the link
+    carried: float = 1.0  # payloads of recordings
     hub: float = 1.0
     gravity: complex = 1.0  # x + i y: none of it, or turned
+    undeclared: complex = 0.0  # gravity x + i y where none is declared [m/s^2]
+
+    @property
+    def masses(self) -> Array:
+        """(3,) of the link's mass, its payload and the recording's."""
+        return np.array([self.mass, self.payload, self.carried])
+
+    @property
+    def falls(self) -> bool:
+        """True if gravity is not as declared."""
+        return self.gravity != 1.0 or self.undeclared != 0.0
+
+
+def _all_masses(factor: float) -> _Scales:
+    return _Scales(mass=factor, payload=factor, carried=factor)
 
 
 @dataclass(frozen=True)
 class _Balance:
-    """Projections on windows of one length in one recording, a row for each window [N m s]."""
+    """Projections on windows of one length in one recording, a column for each window [N m s].
+
+    Those of masses are of the link's, of its payload and of the recording's, a row for each.
+    """
 
     file: str
-    driven: bool
+    kind: str
     gravity: tuple[float, float]  # declared [m/s^2]
+    payload: float  # of the recording, declared [kg]
+    turns: bool  # by more than the encoder's noise
+    hub_inertia: float  # declared [kg m^2]
     torque: Array  # (N,)
-    momentum: Array  # (N,) of the motion
+    momenta: Array  # (3, N) of the masses' motion
     turning: Array  # (N,) that an inertia of 1 kg m^2 at the joint would have
-    lever: Array  # (N, 2) moments of a unit gravity along x and y
-    noise: float  # 1-sigma of the momentum's projection
-    link_noise: float  # the same without the hub's part
-    turning_noise: float  # and of `turning`
+    levers: Array  # (3, N, 2) moments of a unit gravity along x and y
+    heading_noise: float  # 1-sigma of `turning`
+    root_inertias: Array  # (3,) that turn with the heading at the base, of each mass [kg m^2]
+    marker_noises: Array  # (3, k) of the momenta, by each marker
     independent: float  # number of windows that do not overlap
 
-    def weight(self, gravity: complex) -> Array:
-        """Return projections (N,) of the moment of a gravity x + i y [m/s^2]."""
-        return np.asarray(self.lever @ np.array([gravity.real, gravity.imag]))
+    @property
+    def silent(self) -> bool:
+        """True if the torque is zero throughout."""
+        return not np.any(self.torque)
+
+    @property
+    def momentum(self) -> Array:
+        """Projections (N,) of the motion of all masses as declared, and of the hub."""
+        return np.asarray(self.momenta.sum(axis=0) + self.hub_inertia * self.turning)
+
+    @property
+    def noise(self) -> float:
+        """1-sigma of `momentum`."""
+        root = self.hub_inertia + float(self.root_inertias.sum())
+        return float(np.hypot(root * self.heading_noise, np.linalg.norm(self.marker_noises.sum(axis=0))))
+
+    def weight(self, gravity: complex, masses: Array = _AS_DECLARED) -> Array:
+        """Return projections (N,) of the moment of a gravity x + i y [m/s^2] on masses (3,) over those declared."""
+        return np.asarray(np.tensordot(masses, self.levers, 1) @ np.array([gravity.real, gravity.imag]))
+
+    def masses_noise(self, masses: Array) -> float:
+        """Return the 1-sigma noise of the momentum of masses (3,) over those declared, without the hub's."""
+        return float(
+            np.hypot(masses @ self.root_inertias * self.heading_noise, np.linalg.norm(masses @ self.marker_noises))
+        )
 
 
 def balances(experiment: Experiment) -> list[list[_Balance]]:
@@ -93,19 +142,20 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
     complete = np.isfinite(heading) & np.isfinite(angles).all(axis=1)
     if rig.links[0].markers_frame == "link":  # angles are those of deflections
         angles, heading = angles + theta[:, None], theta
-    squares, firsts = _mass_moments(rig, recording.payload, arcs)
+    link = rig.links[0]
+    squares, firsts = _mass_moments(link, recording.payload, arcs)
     polar = np.column_stack([np.unwrap(heading[complete]), angles[complete]])
     polar[:, 1:] = polar[:, :1] + np.angle(np.exp(1j * (polar[:, 1:] - polar[:, :1])))
     time = recording.time[rows][complete]
     step = float(np.median(np.diff(time)))
     instants = np.arange(time[0], time[-1], step)
-    momentum, turning = (np.interp(instants, time, signal) for signal in (polar @ squares, polar[:, 0]))
-    place = [np.interp(instants, time, wave @ firsts) for wave in (np.cos(polar), np.sin(polar))]
+    turning = np.interp(instants, time, polar[:, 0])
+    momenta = [np.interp(instants, time, polar @ moments) for moments in squares]
+    places = [
+        [np.interp(instants, time, wave @ moments) for wave in (np.cos(polar), np.sin(polar))] for moments in firsts
+    ]
     torque = np.interp(instants, recording.time[torque_known], recording.tau[torque_known, 0])
-    coordinate = rig.marker_noise or 1e-3 * rig.links[0].length
-    markers_noise = coordinate * np.sqrt(np.sum((squares[1:] / arcs) ** 2))
-    bases = np.array([squares[0], squares[0] - rig.links[0].hub_inertia, 1.0])  # inertias that turn with the base
-    noises = np.hypot(bases * heading_noise, markers_noise * np.array([1.0, 1.0, 0.0]))
+    coordinate = rig.marker_noise or 1e-3 * link.length
     result, size = [], _SHORTEST
     while 2 * size <= instants.size:
         phase = np.pi * (np.arange(size) + 0.5) / size
@@ -121,15 +171,18 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
         result.append(
             _Balance(
                 recording.file,
-                recording.kind == "driven",
+                recording.kind,
                 recording.gravity,
+                recording.payload,
+                moves(recording.theta[:, 0], rig.encoder_noise),
+                link.hub_inertia,
                 project(torque, window),
-                project(momentum - momentum.mean(), second),
+                np.stack([project(momentum - momentum.mean(), second) for momentum in momenta]),
                 project(turning - turning.mean(), second),
-                np.column_stack([-project(place[1], window), project(place[0], window)]),
-                noise=float(noises[0] * kernel_norm),
-                link_noise=float(noises[1] * kernel_norm),
-                turning_noise=float(noises[2] * kernel_norm),
+                np.stack([np.column_stack([-project(y, window), project(x, window)]) for x, y in places]),
+                heading_noise=heading_noise * kernel_norm,
+                root_inertias=squares[:, 0],
+                marker_noises=coordinate * kernel_norm * squares[:, 1:] / arcs,
                 independent=instants.size / size,
             )
         )
@@ -137,70 +190,105 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
     return result
 
 
-def _mass_moments(rig: Rig, payload: float, arcs: Array) -> tuple[Array, Array]:
-    """Return second [kg m^2] and first moments [kg m] (1 + k,) of the mass that turns with the base and each marker.
+def _mass_moments(link: Link, payload: float, arcs: Array) -> tuple[Array, Array]:
+    """Return second [kg m^2] and first moments [kg m] (3, 1 + k) of masses that turn with the base and each marker.
 
-    Between them, at arc lengths (k,) [m], the angle about the base is taken as linear.
+    The masses are the link's, its payload and the recording's. Between base and markers, at arc lengths (k,) [m], the
+    angle about the base is taken as linear.
     """
-    link, grid = rig.links[0], np.linspace(0.0, rig.links[0].length, 201)
+    grid = np.linspace(0.0, link.length, 201)
     nodes = np.array([0.0, *arcs])
     hats = np.stack([np.interp(grid, nodes, row) for row in np.eye(nodes.size)])
     density = np.full(grid.size, link.mass / grid.size)
-    squares, firsts = hats @ (density * grid**2), hats @ (density * grid)
-    tip = (link.payload + payload) * link.length
-    squares[0] += link.hub_inertia
-    squares[-1] += tip * link.length
-    firsts[-1] += tip
+    squares, firsts = np.zeros((3, nodes.size)), np.zeros((3, nodes.size))
+    squares[0], firsts[0] = hats @ (density * grid**2), hats @ (density * grid)
+    firsts[1:, -1] = np.array([link.payload, payload]) * link.length
+    squares[1:, -1] = firsts[1:, -1] * link.length
     return squares, firsts
 
 
 def torque_gains(experiment: Experiment, recordings: list[list[_Balance]]) -> dict[_Scales, float]:
-    """Return the log-likelihood of each hypothesis over that of none, by how well torque and motion then balance."""
+    """Return the log-likelihood of each hypothesis over that of none, by how well torque and motion then balance.
+
+    Under any of them, a recording's payload may be in grams.
+    """
     current = FACTORS["torque"][experiment.conventions.units.torque]
     sizes = [size / current for size in FACTORS["torque"].values()]
-    scales = [_Scales(), _Scales(-1.0), *(_Scales(sign * size) for size in sizes if size != 1.0 for sign in (1, -1))]
-    scales += [*(_Scales(mass=size) for size in (_GRAM, *_SEVERALFOLD)), *(_Scales(hub=size) for size in _HUB_UNITS)]
-    scales += [_Scales(gravity=turn) for turn in (0.0, -1.0, 1.0j, -1.0j)]
     link = experiment.rig.links[0]
-    gains = np.sum([_gains(link, recording, scales) for recording in _driven(recordings, silent=False)], axis=0)
-    return dict(zip(scales, np.broadcast_to(gains, len(scales)).tolist(), strict=True))
+    scales = [_Scales(), _Scales(-1.0), *(_Scales(sign * size) for size in sizes if size != 1.0 for sign in (1, -1))]
+    scales += [*map(_all_masses, (GRAM, *_SEVERALFOLD)), *(_Scales(hub=size) for size in _HUB_UNITS)]
+    if link.payload or any(recording.payload for recording in experiment.recordings):
+        scales.append(_Scales(mass=GRAM))
+    if link.payload:
+        scales.append(_Scales(payload=GRAM))
+    scales += [_Scales(gravity=turn) for turn in (0.0, -1.0, 1.0j, -1.0j)]
+    if (fitted := _undeclared_gravity(experiment, recordings)) and abs(fitted):
+        scales.append(_Scales(undeclared=fitted / abs(fitted) * EARTH))  # a base that is tilted a little has less
+    gains = np.zeros(len(scales))
+    for recording in _informative(recordings):
+        gains += np.max(_payload_gains(link, recording, scales), axis=0)
+        if recording[0].kind == "driven" and recording[0].silent:  # it falls only if its kind is wrong as well
+            gains -= WRONG * np.array([scale.falls for scale in scales])
+    # Two components were fitted to so many windows: G. Schwarz, Estimating the dimension of a model, Ann. Stat., 1978.
+    windows = sum(recording[0].independent for recording in _informative(recordings))
+    gains -= np.log(max(windows, 1.0)) * np.array([scale.undeclared != 0.0 for scale in scales])
+    return dict(zip(scales, (gains - gains[0]).tolist(), strict=True))
 
 
-def _driven(recordings: list[list[_Balance]], silent: bool) -> list[list[_Balance]]:
-    """Return driven recordings in which the torque is zero throughout, or those in which it is not."""
-    return [
-        recording for recording in recordings if recording[0].driven and (not np.any(recording[0].torque)) is silent
-    ]
+def _informative(recordings: list[list[_Balance]]) -> list[list[_Balance]]:
+    """Return recordings in which a known torque acts, or none at all.
+
+    Where none was recorded, an arm at rest may be held by a brake, and one that is driven in gravity by its motor.
+    """
+
+    def known(balance: _Balance) -> bool:
+        return balance.turns and (balance.kind == "decay" or (balance.kind == "driven" and not any(balance.gravity)))
+
+    return [recording for recording in recordings if not recording[0].silent or known(recording[0])]
+
+
+def _payload_gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Array:
+    """Return log-likelihoods (2, f) of hypotheses over that of the first, with the recording's payload in kg or g."""
+    in_grams = [scale._replace(carried=scale.carried * GRAM) for scale in scales]
+    gains = _gains(link, recording, [*scales, *in_grams]).reshape(2, -1)
+    gains[1] = gains[1] - WRONG if recording[0].payload else -np.inf
+    return gains
 
 
 def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Array:
     """Return log-likelihoods (f,) of hypotheses over that of the first one.
 
     Each may suppose another hub: its inertia is known roughly, if at all, and much may be the motor's behind a gear.
+    Where no torque acts it may not, for a free arm's momentum is conserved with the right one only.
     """
-    gains = [np.zeros(len(scales))]
-    hubs = [_possible_hubs(link, scale) for scale in scales]
+    gains = []
+    silent = recording[0].silent
+    hubs = [np.array([scale.hub * link.hub_inertia]) if silent else _possible_hubs(link, scale) for scale in scales]
     for balance in recording:
         declared = complex(*balance.gravity)
         if np.median((balance.momentum - balance.weight(declared)) ** 2) > 9 * balance.noise**2:
             misfits = []
             for scale, hub in zip(scales, hubs, strict=True):
-                torque, weight = scale.torque * balance.torque, balance.weight(scale.gravity * declared)
-                motion = scale.mass * (balance.momentum - link.hub_inertia * balance.turning - weight)
-                motion = motion + hub[:, None] * balance.turning
-                noise = (scale.mass * balance.link_noise) ** 2 + (hub * balance.turning_noise) ** 2
+                torque, masses = scale.torque * balance.torque, scale.masses
+                full = balance.weight(declared or scale.undeclared, masses)  # however little of it there may be
+                weight = balance.weight(scale.gravity * declared, masses) if declared else full
+                momentum = masses @ balance.momenta + hub[:, None] * balance.turning
+                noise = balance.masses_noise(masses) ** 2 + (hub * balance.heading_noise) ** 2
                 # Relative, so that none is likelier for small numbers; medians, since a glitch spoils few windows.
-                error, torques, motions = (np.median(x**2, axis=-1) for x in (torque - motion, torque, motion))
-                misfits.append(np.min((error + noise) / (torques + motions + noise)))
-            gains.append(-0.5 * balance.independent * np.log(np.array(misfits) / misfits[0]))
-    return np.asarray(np.mean(gains[1:] or gains, axis=0))
+                error, *sizes = (np.median(x**2, axis=-1) for x in (torque + weight - momentum, torque, full, momentum))
+                misfits.append((error + noise) / (sum(sizes) + noise))
+            gains.append(-0.5 * balance.independent * np.log(np.array(misfits)))
+    if not gains:
+        return np.zeros(len(scales))
+    likelihoods = np.mean(gains, axis=0).max(axis=1)
+    return np.asarray(likelihoods - likelihoods[0])
 
 
 def _possible_hubs(link: Link, scale: _Scales) -> Array:
     """Return inertias (h,) that a hub may have [kg m^2]."""
     if link.hub_inertia > 0:
         return scale.hub * link.hub_inertia * _ROUGHLY
-    return scale.mass * link.length**2 * (link.mass / 3 + link.payload) * _UNKNOWN
+    return link.length**2 * (scale.mass * link.mass / 3 + scale.payload * link.payload) * _UNKNOWN
 
 
 def _moving_gain(recording: list[_Balance]) -> float:
@@ -222,94 +310,118 @@ def torque_sign(gains: dict[_Scales, float]) -> float | None:
 def torque_mistakes(
     experiment: Experiment, recordings: list[list[_Balance]], gains: dict[_Scales, float]
 ) -> list[Mistake]:
-    """Return mistakes in sign, unit or presence of the torque, in inertias or in gravity."""
-    link, conventions = experiment.rig.links[0], experiment.conventions
+    """Return mistakes in sign, unit or presence of the torque, in inertias, payloads or gravity."""
     best = max(gains, key=lambda scales: gains[scales])
-    driven = _driven(recordings, silent=False)
-    files = tuple(recording[0].file for recording in driven)
-    gravity = _gravity_mistake(experiment, recordings)
-    tau = conventions.name_in_files(f"{link.name}.tau")
+    tau = experiment.conventions.name_in_files(f"{experiment.rig.links[0].name}.tau")
+    if not best.falls or gains[best] < LIKELY:
+        driven = [recording for recording in recordings if recording[0].kind == "driven" and recording[0].silent]
+        silent = {recording[0].file: _moving_gain(recording) for recording in driven}
+        unexplained = {file: gain for file, gain in silent.items() if gain > LIKELY}
+        if unexplained:
+            text = (
+                f"{tau} is zero throughout although the link's angular momentum changes: no torque was recorded; "
+                'record it, or set input = "motion" in the [[recording]] where the joint is driven by a controller'
+            )
+            return [Mistake(text, sum(unexplained.values()), tuple(unexplained))]
+    if gains[best] < LIKELY:
+        return _payload_mistakes(experiment, recordings, _Scales())
+    payloads = _payload_mistakes(experiment, recordings, best)
+    if best.falls:
+        return [_gravity_mistake(experiment, recordings, best, gains[best]), *payloads]
+    files = tuple(recording[0].file for recording in recordings if recording[0].kind == "driven")
+    turned = best.torque != 1.0
+    text = _torque_text(experiment, best.torque, tau) if turned else _inertia_text(experiment, best, tau)
+    gain = min(gains[best], CERTAIN) if best.mass in _SEVERALFOLD else gains[best]
+    return [Mistake(text, gain, files), *payloads]
+
+
+def _torque_text(experiment: Experiment, factor: float, tau: str) -> str:
+    """Return what is wrong with a torque that has to be multiplied with a factor, and the remedy."""
+    if factor == -1.0:
+        return f"{tau} turns the link against the way it moves: its sign is wrong; {negated(tau)}"
+    unit = next(name for name in FACTORS["torque"] if name != experiment.conventions.units.torque)
+    return (
+        f"{tau} is {abs(1 / factor):.4g} times the torque that the motion takes: it looks like {unit}"
+        f'{" and of the wrong sign" if factor < 0 else ""}; set [units] torque = "{unit}"'
+        f"{f', and {negated(tau)}' if factor < 0 else ''}"
+    )
+
+
+def _inertia_text(experiment: Experiment, best: _Scales, tau: str) -> str:
+    """Return what is wrong with masses, payloads or the hub's inertia, and the remedy."""
+    link = experiment.rig.links[0]
     motion = f"than the torque that the motion takes with the inertias of [[link]] {link.name}"
     payload = link.payload or any(recording.payload for recording in experiment.recordings)
-    silent = {recording[0].file: _moving_gain(recording) for recording in _driven(recordings, silent=True)}
-    unexplained = {file: gain for file, gain in silent.items() if gain > LIKELY}
-    if unexplained and not gravity:
-        text = (
-            f"{tau} is zero throughout although the link's angular momentum changes: no torque was recorded; record "
-            'it, or set input = "motion" in the [[recording]] where the joint is driven by a controller'
-        )
-        return [Mistake(text, sum(unexplained.values()), tuple(unexplained))]
-    if gains[best] < LIKELY or (gravity and gravity.gain > gains[best]):
-        return [gravity] if gravity else []
-    negative = best.torque < 0
-    unit = next(name for name in FACTORS["torque"] if name != conventions.units.torque)
-    if best == _Scales(-1.0):
-        text = f"{tau} turns the link against the way it moves: its sign is wrong; {negated(tau)}"
-    elif best.torque != 1.0:
-        text = (
-            f"{tau} is {abs(1 / best.torque):.4g} times the torque that the motion takes: it looks like {unit}"
-            f'{" and of the wrong sign" if negative else ""}; set [units] torque = "{unit}"'
-            f"{f', and {negated(tau)}' if negative else ''}"
-        )
-    elif best.gravity != 1.0:
-        heavy = [recording[0] for recording in driven if any(recording[0].gravity)]
-        files, declared = tuple(balance.file for balance in heavy), complex(*heavy[0].gravity)
-        other, key = best.gravity * declared, gravity_key(experiment.rig, heavy[0].gravity)
-        finding = f"as if it were {_vector(other)}" if other else "as if there were none in its plane"
-        text = f"gravity = {_vector(declared)} is declared, and the link moves {finding}; set {key} = "
-        return [Mistake(f"{text}{_vector(other)}", min(gains[best], CERTAIN), files)]
-    elif best.mass in _SEVERALFOLD:
+    if best.mass in _SEVERALFOLD:
         less, wrong = ("less", "large") if best.mass < 1 else ("more", "small")
         masses = "'mass' or 'payload'" if payload else "'mass'"
-        text = f"{tau} is several times {less} {motion}: {masses} is too {wrong}, unless the torque is wrong"
-        return [Mistake(text, min(gains[best], CERTAIN), files)]
+        return f"{tau} is several times {less} {motion}: {masses} is too {wrong}, unless the torque is wrong"
+    text = f"{tau} is far less {motion}: "
+    if best.hub != 1.0:
+        remedy = f"give it in kg m^2, {link.hub_inertia * best.hub:.4g}"
+        return f"{text}'hub_inertia' looks like {_HUB_UNITS[best.hub]}; {remedy}"
+    if best.mass == 1.0:
+        return f"{text}'payload' looks like grams; give it in kg, {link.payload * best.payload:.4g}"
+    if payload and best.payload != 1.0:
+        return f"{text}'mass' and 'payload' look like grams; give both in kg"
+    return f"{text}'mass' looks like grams; give it in kg, {link.mass * best.mass:.4g}"
+
+
+def _payload_mistakes(experiment: Experiment, recordings: list[list[_Balance]], scales: _Scales) -> list[Mistake]:
+    """Return payloads of recordings that are in grams, given what else is wrong."""
+    link, mistakes = experiment.rig.links[0], []
+    tau = experiment.conventions.name_in_files(f"{link.name}.tau")
+    for recording in _informative(recordings):
+        file, payload = recording[0].file, recording[0].payload
+        as_given, in_grams = _payload_gains(link, recording, [scales])[:, 0]
+        if in_grams - as_given > LIKELY:
+            text = (
+                f"{tau} is far less than the torque that the motion takes with a payload of {payload:.4g} kg: it looks "
+                f"like grams; {payload_remedy(file, payload)}"
+            )
+            mistakes.append(Mistake(text, float(in_grams - as_given), (file,)))
+    return mistakes
+
+
+def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]], best: _Scales, gain: float) -> Mistake:
+    """Return that the link moves under another gravity than the one declared, or under one where none is."""
+    chosen = [
+        recording[0] for recording in _informative(recordings) if any(recording[0].gravity) == (best.undeclared == 0.0)
+    ]
+    files, gravity = tuple(balance.file for balance in chosen), chosen[0].gravity
+    key = gravity_key(experiment.rig, gravity)
+    if best.undeclared:
+        size = abs(_undeclared_gravity(experiment, recordings))
+        text = (
+            f"the link falls as if gravity of {size:.3g} m/s^2 acted on it in its plane, and none is declared; set "
+            f"{key} = {_vector(best.undeclared)}, unless a spring, such as a cable, pulls the joint"
+        )
     else:
-        text = f"{tau} is far less {motion}: "
-        if best.hub != 1.0:
-            remedy = f"give it in kg m^2, {link.hub_inertia * best.hub:.4g}"
-            text += f"'hub_inertia' looks like {_HUB_UNITS[best.hub]}; {remedy}"
-        elif payload:
-            text += "'mass' or 'payload' looks like grams; give both in kg"
-        else:
-            text += f"'mass' looks like grams; give it in kg, {link.mass * best.mass:.4g}"
-    return [Mistake(text, gains[best], files)]
+        declared = complex(*gravity)
+        other = best.gravity * declared
+        finding = f"as if it were {_vector(other)}" if other else "as if there were none in its plane"
+        text = f"gravity = {_vector(declared)} is declared, and the link moves {finding}; set {key} = {_vector(other)}"
+        if not other and any(balance.silent for balance in chosen):
+            text += ", unless friction at the joint bears its weight"
+    return Mistake(text, min(gain, CERTAIN), files)
 
 
 def _vector(gravity: complex) -> str:
     return f"[{gravity.real + 0.0:.3g}, {gravity.imag + 0.0:.3g}]"  # no negative zero
 
 
-def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -> Mistake | None:
-    """Return that the balance needs the earth's gravity although none was declared; None if it does not."""
-    chosen = [recording for recording in recordings if not any(recording[0].gravity)]
-    if not chosen or experiment.rig.links[0].markers_frame == "link":
-        return None
-    rows, values, gain = [], [], 0.0
-    for recording in chosen:
+def _undeclared_gravity(experiment: Experiment, recordings: list[list[_Balance]]) -> complex:
+    """Return the gravity x + i y [m/s^2] that balances recordings for which none is declared best; zero without any."""
+    rows, values = [], []
+    for recording in _informative(recordings):
+        if any(recording[0].gravity) or experiment.rig.links[0].markers_frame == "link":
+            continue
         for balance in recording:
             weight = np.sqrt(balance.independent / len(recording) / balance.torque.size) / np.sqrt(
                 np.mean(balance.torque**2) + np.mean(balance.momentum**2) + balance.noise**2
             )
-            rows.append(weight * balance.lever)
+            rows.append(weight * balance.levers.sum(axis=0))
             values.append(weight * (balance.momentum - balance.torque))
     if not rows:
-        return None
-    fitted_gravity = np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0]
-    size = float(np.hypot(*fitted_gravity))
-    gravity = fitted_gravity / max(size, 1e-300) * EARTH  # a base that is tilted a little has less in its plane
-    for recording in chosen:
-        for balance in recording:
-            motion = balance.momentum - balance.torque
-            without_gravity, with_gravity = (
-                np.median(error**2) for error in (motion, motion - balance.lever @ gravity)
-            )
-            ratio = (without_gravity + balance.noise**2) / (with_gravity + balance.noise**2)
-            gain += 0.5 * balance.independent / len(recording) * float(np.log(ratio))
-    if gain < LIKELY:
-        return None
-    text = (
-        f"the link falls as if gravity of {size:.3g} m/s^2 acted on it in its plane, and none is declared; set "
-        f"{gravity_key(experiment.rig, (0.0, 0.0))} = {_vector(complex(*gravity))}, unless a spring, such as a cable, "
-        "pulls the joint"
-    )
-    return Mistake(text, min(gain, CERTAIN), tuple(recording[0].file for recording in chosen))
+        return 0.0
+    return complex(*np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0])
