@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from experiment_files import DRIVEN, FREE, TOML, csv_text, rows, write_experiment
 
-from vjm.errors import ExperimentError, RecordingError
+from vjm.errors import ExperimentError, RecordingError, ShapeError
 from vjm.experiment.load import load_experiment
 
 LINK, TIP, REC = "link[1] arm", "link[2] tip", "recording[1] drive_1.csv"
@@ -151,8 +151,9 @@ def test_experiment_file_that_is_absent_or_a_directory(tmp_path: Path) -> None:
         load_experiment(tmp_path / "none.toml")
     with pytest.raises(ExperimentError, match="directory"):
         load_experiment(tmp_path)
-    with pytest.raises(ExperimentError, match="cannot be read"):
-        load_experiment("a\0b")
+    for nothing in ("a\0b", ""):
+        with pytest.raises(ShapeError, match=r"path: got .*; expected the path of an experiment file"):
+            load_experiment(nothing)
 
 
 def cell(row: int, column: str, value: str) -> Callable[[list[str], list[list[str]]], str]:

@@ -38,7 +38,7 @@ from vjm.experiment.records import (
     Rig,
 )
 from vjm.experiment.schema import STRICT, explain, table_model
-from vjm.files import check_file, read_file
+from vjm.files import as_path, check_file, read_file
 from vjm.text import counted
 
 _TEXT = "a CSV text file in UTF-8"
@@ -87,11 +87,9 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
     Raises:
         ExperimentError: the experiment file is unusable, or a recording it lists is missing.
         RecordingError: a recording is unusable.
+        ShapeError: no path.
     """
-    try:
-        file = Path(path)
-    except TypeError as error:
-        raise ExperimentError(None, "", "", f"got {shown(path)}", "the path of an experiment file (TOML)") from error
+    file = as_path("path", path, "the path of an experiment file (TOML)")
     document = parse_document(file, _read_toml(file))
     rig, conventions, files = described(file, document)
     all_columns: dict[str, None] = {}  # header names of all files, in order

@@ -140,7 +140,8 @@ def flexify(
     is. An elastic joint (M. W. Spong, Modeling and Control of Elastic Joint Robots, ASME J. Dyn. Syst. Meas. Control
     109, 1987) is the motor's, which keeps its name and limits, and a spring `NAME_spring` about the same axis; the
     rotor's inertia acts on the motor's angle alone. Stiffness, cells and rotor inertia, for which URDF has no element,
-    are in an element `vjm:model`; `FlexibleModel.from_urdf` reads them. Every other byte of the file stays as it is.
+    are in an element `vjm:model`; `FlexibleModel.from_urdf` reads them. A comment above says that vjm wrote
+    the file. Every other byte stays as it is.
 
     Args:
         urdf: a file, or its text.
@@ -184,7 +185,7 @@ def flexify(
     if joint is not None:
         springs = positive("stiffness", stiffness), positive("rotor_inertia", rotor_inertia)
         document = _with_flexible_joint(document, _named(document, "joint", joint), *springs, kelvin_voigt)
-    return document.text
+    return document.generated_text
 
 
 def _check_places(places: Sequence[tuple[str, str | None, Mapping[str, object]]], kelvin_voigt: float) -> None:

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ChoiceError, ShapeError, printable
-from vjm.files import check_no_folder
+from vjm.files import GENERATED, check_no_folder
 from vjm.model.dynamics import Mechanism
 from vjm.records import Array
 
@@ -141,6 +141,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.globals["generated"] = GENERATED
     environment.filters["literal"] = lambda text: Markup(repr(text))  # of Python; JSON's differs beyond 16 bits
     return environment
 

@@ -16,7 +16,7 @@ from vjm.effects.effect import Effect
 from vjm.errors import ShapeError, is_whole
 from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.experiment.records import as_rig, for_rig
-from vjm.files import check_no_folder, write_text
+from vjm.files import check_model_file, write_models
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
@@ -206,10 +206,10 @@ class Model(Record):
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path.
 
         Raises:
-            FolderError: the file cannot be written.
+            FolderError: the file cannot be written, or there is one that vjm did not write.
         """
-        file = check_no_folder(path)
-        write_text(file, self.arm.urdf())
+        file = check_model_file(path)
+        write_models({file: self.arm.urdf()})
         return file
 
     def export(self, path: Path | str, simulator: str) -> tuple[Path, Path]:
@@ -220,14 +220,13 @@ class Model(Record):
 
         Raises:
             ChoiceError: another simulator.
-            FolderError: a file cannot be written.
+            FolderError: a file cannot be written, or there is one that vjm did not write.
             ShapeError: as of `simulator_path` and `chain_to_urdf`; a base under load without a spring; drives whose
                 inertia the simulator has no place for.
         """
         simulator_file = simulator_path(path, simulator)
         file = Path(path)
         markers = [link.markers for link in self.rig.links]
-        text = self.arm.simulator_file(simulator, file.name, markers)
-        self.to_urdf(file)
-        write_text(simulator_file, text)
+        beside = self.arm.simulator_file(simulator, file.name, markers)
+        write_models({file: self.arm.urdf(), simulator_file: beside})
         return file, simulator_file
