@@ -249,7 +249,7 @@ def _existing_file(file: Path, place: str, key: str, name: str) -> Path:
 
 
 @dataclass(frozen=True)
-class _Table:
+class RecordingTable:
     """Numbers of a recording file.
 
     Attributes:
@@ -266,9 +266,26 @@ class _Table:
 def _read_recording(
     files: Sequence[Path], table: dict[str, Any], rig: Rig, conventions: Conventions, all_columns: dict[str, None]
 ) -> Recording:
-    """Return the recording in a CSV file, or two; its table in the experiment file is valid by itself.
+    """Return the recording in a CSV file, or two; arguments and errors are those of `read_tables`."""
+    tables = read_tables(files, table, rig, conventions, all_columns)
+    fields = {key: value for key, value in table.items() if key != "motors_file"}
+    return _to_recording(_merged(tables, conventions), tables, fields, rig, conventions)
 
-    Names of the files' columns are added to `all_columns`.
+
+def read_tables(
+    files: Sequence[Path], table: dict[str, Any], rig: Rig, conventions: Conventions, all_columns: dict[str, None]
+) -> list[RecordingTable]:
+    """Return the numbers in the CSV file of a recording, or in its two.
+
+    Args:
+        files: the recording's, and that of its motors if there is one.
+        table: the recording's in the experiment file, valid by itself.
+        rig: the arm.
+        conventions: of the files.
+        all_columns: names of the files' columns are added to it.
+
+    Raises:
+        RecordingError: a column is unknown, missing or there twice, or a cell is no number.
     """
     tables = [_read_table(file, rig, conventions, all_columns) for file in files]
     columns = [column for csv_table in tables for column in csv_table.values]
@@ -290,11 +307,10 @@ def _read_recording(
             else:
                 expected += ", or the file's name for it in [columns]"
             raise RecordingError(source.file, 1, name, problem, expected)
-    fields = {key: value for key, value in table.items() if key != "motors_file"}
-    return _to_recording(_merged(tables, conventions), tables, fields, rig, conventions)
+    return tables
 
 
-def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dict[str, None]) -> _Table:
+def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dict[str, None]) -> RecordingTable:
     """Return the numbers of a file's columns that are named; others are an error unless [columns] names some."""
     header, body = _read_text(file)
     all_columns.update(dict.fromkeys(header))
@@ -310,10 +326,10 @@ def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dic
         raise RecordingError(file, 1, column, error.problem, error.expected + remedy) from error
     numbers, lines = _parse(file, header, body, used)
     columns = [(name, column) for name, use, column in zip(names, used, numbers.T, strict=True) if use]
-    return _Table(file, dict(columns), lines)
+    return RecordingTable(file, dict(columns), lines)
 
 
-def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[str, Array], Indices]:
+def _merged(tables: Sequence[RecordingTable], conventions: Conventions) -> tuple[dict[str, Array], Indices]:
     """Return the columns (T,) of one or two files by their time, and the row of each file (T, files); -1 for none."""
     times = [table.values["t"] for table in tables]
     for table, time in zip(tables, times, strict=True):
@@ -352,7 +368,7 @@ def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[st
 
 def _to_recording(
     merged: tuple[dict[str, Array], Indices],
-    tables: Sequence[_Table],
+    tables: Sequence[RecordingTable],
     fields: dict[str, Any],
     rig: Rig,
     conventions: Conventions,
