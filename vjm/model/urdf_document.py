@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from vjm.errors import ModelFileError, ShapeError
+from vjm.errors import ModelFileError, ShapeError, is_number, shown
 from vjm.files import GENERATED, as_path
 from vjm.records import Array
 
@@ -281,8 +281,8 @@ def positive(name: str, value: float | None) -> float:
     Raises:
         ShapeError: it is not.
     """
-    if value is None or not 0 < value < np.inf:
-        raise ShapeError(name, "nothing" if value is None else value, "a positive number")
+    if not is_number(value) or value <= 0:
+        raise ShapeError(name, "nothing" if value is None else shown(value), "a positive number")
     return float(value)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vjm.diagnosis.records import Diagnosis
-from vjm.errors import ShapeError, shown
+from vjm.errors import require_kind, require_progress
 from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison
@@ -64,10 +64,11 @@ def save(
 
     Raises:
         FolderError: the folder cannot be written to, or a file would be lost that vjm did not write.
-        ShapeError: no such result, or no path.
+        ShapeError: no such result, no path, or another argument of the wrong kind.
     """
-    if not isinstance(result, Comparison | Diagnosis):
-        raise ShapeError("result", shown(result), "what vjm.identify, compare or diagnose returned")
+    require_kind("result", result, (Comparison, Diagnosis), "what vjm.identify, compare or diagnose returned")
+    require_kind("command", command, str, "the command line, a text")
+    require_progress(progress)
     folder = check_result_folder(directory)
     if isinstance(result, Diagnosis):
         pictures, covariance = diagnosis_pictures(result), None
