@@ -336,12 +336,18 @@ def test_files_elsewhere_are_named_from_the_folder(folder: Path, capsys: pytest.
     assert load_experiment(folder / "described" / "experiment.toml").recordings[0].file == "../first_mode.csv"
 
 
-def test_cells_that_no_comma_separates_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = folder / "quiet.csv"
-    file.write_text(file.read_text().replace(",", ";"))
-    status, _, err = run(capsys, "init", folder, *RIG)
-    assert status == 2
-    assert "cells are separated by ';'; expected cells separated by commas" in err
+def test_files_with_semicolons_and_decimal_commas_are_read_like_others(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(capsys, "init", folder, *RIG, "-q") == (0, "", "")
+    text = (folder / "experiment.toml").read_text()
+    (folder / "experiment.toml").unlink()
+    for file in folder.glob("*.csv"):
+        file.write_text(file.read_text().replace(",", ";").replace("\n0.", "\n0,").replace(".", ","))
+        lines = file.read_text().split("\n")
+        file.write_text("\n".join([lines[0].replace(",", "."), *lines[1:]]))
+    assert run(capsys, "init", folder, *RIG, "-q") == (0, "", "")
+    assert (folder / "experiment.toml").read_text() == text
 
 
 def test_the_command_that_it_names_can_be_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
