@@ -172,7 +172,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     for place in (tmp_path / "absent.json", tmp_path):
         with pytest.raises(ModelFileError, match=str(place)):
             load_model(place)
-    with pytest.raises(ModelFileError, match="None: this is no path"):
+    with pytest.raises(ShapeError, match=r"path: got None; expected the path of a model\.json"):
         load_model(None)  # type: ignore[arg-type]
 
 

@@ -7,11 +7,12 @@ where the fault is and what was expected.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Iterable
-from numbers import Integral
+from numbers import Integral, Real
 from pathlib import Path
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 # Control characters, halves of surrogate pairs, and what makes other characters change places or vanish.
 _UNPRINTABLE = re.compile(
@@ -52,11 +53,15 @@ class ExperimentError(InputError):
         expected: what would have been right.
     """
 
-    def __init__(self, file: Path | str | None, table: str, key: str, problem: str, expected: str) -> None:
+    def __init__(
+        self, file: Path | str | None, table: str, key: str, problem: str, expected: str, in_python: str = ""
+    ) -> None:
+        """Make the error; `in_python` is advice that is of no use for a file."""
         self.file = None if file is None else Path(file)
         self.table, self.key, self.problem, self.expected = table, key, problem, expected
         place = ", ".join(part for part in (f"[{table}]" if table else "", f"key '{key}'" if key else "") if part)
-        parts = ["" if file is None else str(file), place, f"{problem}; expected {expected}"]
+        advice = f"; {in_python}" if in_python and file is None else ""
+        parts = ["" if file is None else str(file), place, f"{problem}; expected {expected}{advice}"]
         super().__init__(": ".join(part for part in parts if part))
 
     def at(self, file: Path, table: str = "") -> ExperimentError:
@@ -205,6 +210,34 @@ class MissingPackageError(VjmError):
 def is_whole(value: object, least: int) -> TypeGuard[int]:
     """Return True for a whole number of at least `least`; False and True are none."""
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Return True for a finite number; False and True are none."""
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def require(argument: str, value: Any, valid: bool, expected: str) -> None:
+    """Raise a `ShapeError` for the value of an argument that is not `valid`, with what is expected."""
+    if not valid:
+        raise ShapeError(argument, shown(value), expected)
+
+
+def require_choice(what: str, value: object, choices: Iterable[object]) -> None:
+    """Raise a `ChoiceError` for what is not among the choices; arrays and lists, which cannot be compared, are not."""
+    choices = tuple(choices)
+    if not (value is None or isinstance(value, str)) or value not in choices:
+        raise ChoiceError(what, value, choices)
+
+
+def require_kind(argument: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
+    """Raise a `ShapeError` for the value of an argument that is no object of a kind, with what is expected."""
+    require(argument, value, isinstance(value, kind), expected)
+
+
+def require_progress(progress: object) -> None:
+    """Raise a `ShapeError` for what cannot be told of progress."""
+    require("progress", progress, progress is None or callable(progress), "a function of (text, done, total), or None")
 
 
 def shown(value: object) -> str:

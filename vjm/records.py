@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.errors import ChoiceError
+from vjm.errors import require_choice
 from vjm.experiment.records import Array as Array
 from vjm.experiment.records import Complex as Complex
 from vjm.experiment.records import Experiment as Experiment
@@ -209,8 +209,7 @@ class ByParameter:
             ChoiceError: no parameter of that name; the message lists those there are.
         """
         by_name = {estimate.name: estimate for estimate in self.parameters}
-        if name not in by_name:
-            raise ChoiceError("parameter", name, by_name)
+        require_choice("parameter's name", name, by_name)
         return by_name[name]
 
     def __contains__(self, name: object) -> bool:

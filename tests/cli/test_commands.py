@@ -7,6 +7,7 @@ import io
 import json
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -34,6 +35,7 @@ from vjm.cli import commands, main
 from vjm.cli.commands import _progress
 from vjm.effects import CubicStiffness, TipPayload
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.files import GENERATED
 from vjm.identification.check import Check, overview
 from vjm.identification.comparison import Comparison
 from vjm.model.urdf import chain_to_urdf
@@ -280,10 +282,19 @@ def test_experiment_without_suffix_and_model_without_suffix_are_told_apart(
     assert "schema" in err
 
 
-def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_places_that_cannot_be_written(
+    tmp_path: Path, model: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "file"
     file.write_text("mine")
-    for place in (file, tmp_path / "missing" / "out", file / "out"):
+    (tmp_path / "mine" / "diagnosis").mkdir(parents=True)
+    for name in ("report.html", "check.png", "diagnosis/report.html"):
+        (tmp_path / "mine" / name).write_text("mine")
+    computed: list[str] = []
+    for name in ("identify", "compare", "diagnose", "check"):
+        monkeypatch.setattr(commands, name, lambda *_, name=name, **__: computed.append(name))
+    places = (file, tmp_path / "missing" / "out", file / "out", tmp_path / "mine", Path("/proc/out"))
+    for place in places if sys.platform == "linux" else places[:-1]:
         for command in (
             ["identify", DEMO],
             ["demo"],
@@ -295,6 +306,10 @@ def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pyte
             assert (status, out) == (2, "")
             assert err.startswith("vjm: ")
             assert len(err.splitlines()) == 1
+    (tmp_path / "mine" / "report.html").unlink()
+    assert "diagnosis/report.html: this file exists" in run(capsys, "demo", "-o", tmp_path / "mine")[2]
+    shutil.rmtree(tmp_path / "mine")
+    assert not computed  # before the work begins, minutes of it
     assert run(capsys, "urdf", model, "-o", tmp_path)[0] == 2
     for place in (".", tmp_path.anchor):
         assert "this is a folder" in run(capsys, "urdf", model, "--for", "pinocchio", "-o", place)[2]
@@ -308,25 +323,29 @@ def test_a_urdf_replaces_urdfs_alone(tmp_path: Path, capsys: pytest.CaptureFixtu
         shutil.copy(each, tmp_path)
     experiment, robot, link = tmp_path / DEMO.name, tmp_path / "robot.urdf", tmp_path / "link.urdf"
     flexify = "flexify", robot, "--joint", "beam_virtual_1", "--stiffness", "6", "--rotor-inertia", "7", "-o"
-    for earlier in ("", "\ufeff\n<robot/>"):
+    for earlier in ("", f"\ufeff<!-- {GENERATED} -->\n<robot/>"):
         robot.write_text(earlier, encoding="utf-8")
         assert run(capsys, "urdf", experiment, "-o", robot)[0] == 0
     link.symlink_to(robot)
-    script = tmp_path / "first_mode.py"
-    script.write_text("import numpy\n", encoding="utf-8")
+    script, mine, page = tmp_path / "first_mode.py", tmp_path / "mine.xml", tmp_path / "page.html"
+    script.write_text("# Simulates my arm\n", encoding="utf-8")
+    mine.write_text("<mujoco/>\n", encoding="utf-8")
+    page.write_text("<!DOCTYPE html>\n", encoding="utf-8")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     for command in (
-        *(("urdf", experiment, "-o", place) for place in (experiment, tmp_path / "first_mode.csv")),
+        *(("urdf", experiment, "-o", place) for place in (experiment, tmp_path / "first_mode.csv", mine, page)),
         ("urdf", experiment, "--for", "pinocchio", "-o", script.with_suffix(".urdf")),
-        *((*flexify, place) for place in (robot, link, experiment)),
+        ("urdf", experiment, "--for", "mujoco", "-o", mine.with_suffix(".urdf")),
+        *((*flexify, place) for place in (robot, link, experiment, mine, page)),
     ):
         status, out, err = run(capsys, *command)
         assert (status, out) == (2, "")
-        assert "choose another file" in err
+        assert "choose another" in err
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert run(capsys, *flexify, tmp_path / "flexible.urdf")[0] == 0
     for _ in range(2):  # what was made so may be made again
         assert run(capsys, "urdf", experiment, "--for", "pinocchio", "-o", tmp_path / "made.urdf")[0] == 0
+        assert run(capsys, *flexify, tmp_path / "flexible.urdf")[0] == 0
 
 
 @pytest.mark.parametrize(

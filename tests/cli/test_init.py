@@ -8,6 +8,7 @@ import shlex
 import shutil
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -103,11 +104,12 @@ def test_what_is_missing_is_left_open_and_named(folder: Path, capsys: pytest.Cap
     [
         (
             ["--bending-stiffness", "1.9", "--width", "0.035"],
-            "--width: given together with bending_stiffness; expected",
+            "--width: given together with --bending-stiffness; expected either --youngs-modulus, --width and "
+            "--thickness, or --bending-stiffness\n",
         ),
         (
             ["--bending-stiffness", "1.9", "--width", "0.035", "--thickness", "0.0015", "--youngs-modulus", "2e11"],
-            "--youngs-modulus: given together with bending_stiffness; expected either youngs_modulus, width and",
+            "--youngs-modulus: given together with --bending-stiffness; expected either --youngs-modulus, --width and",
         ),
         (["--hub-inertia", "0.1"], "--hub-inertia: the link is clamped and has no hub"),
         (["--hub-inertia", "0.1", "--joint", "clamped"], "--hub-inertia: the link is clamped and has no hub"),
@@ -182,6 +184,32 @@ def test_a_torque_without_an_angle_belongs_to_a_joint(tmp_path: Path, capsys: py
     status, _, err = run(capsys, "init", tmp_path, *RIG)
     assert status == 2
     assert "column 'beam.theta': the column is missing; expected the angle of the active joint" in err
+    assert not (tmp_path / "experiment.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        (lambda text: text, ["--joint", "revolute"], "column 'beam.theta': the column is missing"),
+        (lambda text: text.replace("t,", "moment,", 1), [], "column 't': the column is missing"),
+        (lambda text: text.replace("beam.m1.x", "t", 1), [], "column 't': the column occurs twice"),
+        (lambda text: text.replace("beam.m1.x", "beam.m1.y", 1), [], "column 'beam.m1.y': the column occurs twice"),
+        (lambda text: text.replace("0.2,", "much,", 1), [], "'much' is not a number"),
+    ],
+)
+def test_columns_that_the_check_would_refuse_are_refused_before_anything_is_written(
+    folder: Path, capsys: pytest.CaptureFixture[str], change: Callable[[str], str], options: list[str], message: str
+) -> None:
+    file = folder / "first_mode.csv"
+    text = change(file.read_text())
+    if "much" in message:
+        text = text.rstrip("\n").rpartition("\n")[0] + "\n" + ",".join(["9e9", "much"] + ["0"] * 9) + "\n"
+    file.write_text(text)
+    status, out, err = run(capsys, "init", folder, *RIG, *options)
+    assert (status, out) == (2, "")
+    assert f"{folder}/" in err
+    assert message in err
+    assert not (folder / "experiment.toml").exists()
 
 
 def test_the_joint_that_is_given_is_the_first_links(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -264,14 +292,14 @@ def test_columns_of_text_are_left_out(folder: Path, capsys: pytest.CaptureFixtur
 
 def test_names_are_recognized_as_documented(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time = 0.01 * np.arange(200)
-    names = ["Seconds", "Marker1_X", "Marker1_Y", "tip x (mm)", "tip z (mm)", "Encoder 1", "Motor torque", "Angle 2"]
+    names = ["Seconds", "Marker1_X", "Marker1_Z", "tip x (mm)", "tip z (mm)", "Encoder 1", "Motor torque", "Angle 2"]
     pd.DataFrame({name: np.sin(time + k) + time for k, name in enumerate(names)}).to_csv(
         tmp_path / "a.csv", index=False
     )
     run(capsys, "init", tmp_path)
     columns = tomllib.loads((tmp_path / "experiment.toml").read_text())["columns"]
     assert list(columns.items()) == [
-        *(("t", "Seconds"), ("beam.m1.x", "Marker1_X"), ("beam.m1.y", "Marker1_Y")),
+        *(("t", "Seconds"), ("beam.m1.x", "Marker1_X"), ("beam.m1.z", "Marker1_Z")),
         *(("beam.m2.x", "tip x (mm)"), ("beam.m2.z", "tip z (mm)")),
         *(("beam.theta", "Encoder 1"), ("beam.tau", "Motor torque")),
     ]
@@ -308,12 +336,18 @@ def test_files_elsewhere_are_named_from_the_folder(folder: Path, capsys: pytest.
     assert load_experiment(folder / "described" / "experiment.toml").recordings[0].file == "../first_mode.csv"
 
 
-def test_cells_that_no_comma_separates_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = folder / "quiet.csv"
-    file.write_text(file.read_text().replace(",", ";"))
-    status, _, err = run(capsys, "init", folder, *RIG)
-    assert status == 2
-    assert "cells are separated by ';'; expected cells separated by commas" in err
+def test_files_with_semicolons_and_decimal_commas_are_read_like_others(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(capsys, "init", folder, *RIG, "-q") == (0, "", "")
+    text = (folder / "experiment.toml").read_text()
+    (folder / "experiment.toml").unlink()
+    for file in folder.glob("*.csv"):
+        file.write_text(file.read_text().replace(",", ";").replace("\n0.", "\n0,").replace(".", ","))
+        lines = file.read_text().split("\n")
+        file.write_text("\n".join([lines[0].replace(",", "."), *lines[1:]]))
+    assert run(capsys, "init", folder, *RIG, "-q") == (0, "", "")
+    assert (folder / "experiment.toml").read_text() == text
 
 
 def test_the_command_that_it_names_can_be_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

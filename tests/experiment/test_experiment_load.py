@@ -86,6 +86,12 @@ def test_columns_in_any_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(experiment.recordings[0].tau, plain.recordings[0].tau)
 
 
+def european(text: str, separator: str = ";") -> str:
+    """A table as a spreadsheet writes it where commas separate decimals."""
+    header, _, body = text.partition("\n")
+    return header.replace(",", separator) + "\n" + body.replace(",", separator).replace(".", ",")
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -101,8 +107,33 @@ def test_columns_in_any_order(tmp_path: Path) -> None:
         lambda text: "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in text.split("\n")[:-1]),
         lambda text: text.replace("t,", '"t",', 1),
         lambda text: "\ufeff" + text.replace("t,", '"t",', 1),
+        lambda text: text.replace(",", ";"),
+        lambda text: text.replace(",", "\t"),
+        lambda text: european(text, ";"),
+        lambda text: european(text, "\t"),
+        lambda text: "\ufeff" + european(text, ";").replace("\n", "\r\n").replace(";", " ; "),
+        lambda text: "\n".join(
+            ";".join(f'"{cell}"' for cell in line.split(";")) for line in european(text).split("\n")
+        ),
+        lambda text: european(text).replace("\n", "\n\n"),
     ],
-    ids=["bom", "crlf", "cr", "no end", "blank end", "blank", "spaces", "padded", "tabs", "quoted", "name", "bom name"],
+    ids=[
+        *(
+            "bom",
+            "crlf",
+            "cr",
+            "no end",
+            "blank end",
+            "blank",
+            "spaces",
+            "padded",
+            "tabs",
+            "quoted",
+            "name",
+            "bom name",
+        ),
+        *("semicolons", "tabs alone", "decimal commas", "commas and tabs", "european", "quoted commas", "blank commas"),
+    ],
 )
 def test_spellings_of_one_table(tmp_path: Path, change) -> None:
     text = csv_text(DRIVEN, rows(DRIVEN))

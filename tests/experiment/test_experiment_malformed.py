@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from experiment_files import DRIVEN, FREE, TOML, csv_text, rows, write_experiment
 
-from vjm.errors import ExperimentError, RecordingError
+from vjm.errors import ExperimentError, RecordingError, ShapeError
 from vjm.experiment.load import load_experiment
 
 LINK, TIP, REC = "link[1] arm", "link[2] tip", "recording[1] drive_1.csv"
@@ -151,8 +151,9 @@ def test_experiment_file_that_is_absent_or_a_directory(tmp_path: Path) -> None:
         load_experiment(tmp_path / "none.toml")
     with pytest.raises(ExperimentError, match="directory"):
         load_experiment(tmp_path)
-    with pytest.raises(ExperimentError, match="cannot be read"):
-        load_experiment("a\0b")
+    for nothing in ("a\0b", ""):
+        with pytest.raises(ShapeError, match=r"path: got .*; expected the path of an experiment file"):
+            load_experiment(nothing)
 
 
 def cell(row: int, column: str, value: str) -> Callable[[list[str], list[list[str]]], str]:
@@ -179,6 +180,12 @@ def without(*names: str) -> Callable[[list[str], list[list[str]]], str]:
 
 def text(change: Callable[[str], str]) -> Callable[[list[str], list[list[str]]], str]:
     return lambda columns, cells: change(csv_text(columns, cells))
+
+
+def european(table: str) -> str:
+    """A table as a spreadsheet writes it where commas separate decimals."""
+    header, _, body = table.partition("\n")
+    return header.replace(",", ";") + "\n" + body.replace(",", ";").replace(".", ",")
 
 
 def emptied(column: str) -> Callable[[list[str], list[list[str]]], str]:
@@ -220,7 +227,15 @@ CSV_CASES: list[tuple[Callable[[list[str], list[list[str]]], str], int | None, s
     (text(lambda x: x + "0.5\n"), 42, None, ["1 cell;"]),
     (text(lambda x: x.replace("\n", ",\n").replace(",\n", "\n", 1)), 2, None, ["12 cells"]),
     (text(lambda x: x.replace("\n", ",\n")), 1, "", ["without a name", "names in [columns]"]),
-    (text(lambda x: x.replace(",", ";")), 1, None, ["separated by ';'", "commas"]),
+    (text(lambda x: x.replace(",", ";", 3)), 1, "t;arm.theta;arm.tau;arm.m1.x", ["unknown column"]),
+    (text(lambda x: x.replace(",", ";").replace(";", "\t", 3)), 1, None, ["semicolons and tabs", "one of them"]),
+    (text(lambda x: x.replace(",", ";").replace("\n0.03;", "\n0,03;")), 2, "t", ["'0.0' is not a", "decimal comma"]),
+    (text(lambda x: x.replace(",", ";").replace("\n0.03;", "\n0.03,")), 2, "t", ["'0.0' is not a", "decimal comma"]),
+    (text(lambda x: x.replace(",", ";").replace("\n0.03;", "\n1,000.03;")), 2, "t", ["'0.0' is not", "decimal comma"]),
+    (text(lambda x: european(x).replace("\n0,03;", "\n1.000,03;")), 5, "t", ["'1.000,03' is not a", "decimal comma"]),
+    (text(lambda x: european(x).replace("\n0,03;", "\n0,0,3;")), 5, "t", ["'0,0,3' is not a number"]),
+    (text(lambda x: european(x).replace("\n0,03;", "\n0,03,")), 5, None, ["10 cells", "11 cells, as in the header"]),
+    (text(lambda x: x.replace(",", "\t").replace("\n0.03\t", "\n0.03,")), 2, "t", ["decimal comma"]),
     (text(lambda x: ""), None, None, ["empty", "header"]),
     (text(lambda x: " \n\n"), None, None, ["empty"]),
     (text(lambda x: x[: x.index("\n") + 1]), None, None, ["no row follows"]),

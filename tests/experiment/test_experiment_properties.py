@@ -85,10 +85,13 @@ def test_fast_and_slow_path_agree(table: list[list[str]]) -> None:
     parsed = _parse_at_once(body.encode(), len(columns)) if body.strip() else None
     if parsed is None:
         return
-    (fast, lines), (slow, slow_lines) = parsed, _parse_row_by_row(Path("a.csv"), columns, body, (True, True))
-    assert lines.tolist() == slow_lines.tolist()
-    np.testing.assert_array_max_ulp(fast[np.isfinite(fast)], slow[np.isfinite(slow)], maxulp=1)
-    np.testing.assert_array_equal(np.isnan(fast), np.isnan(slow))
+    fast, lines = parsed
+    for separator, decimal in (",.", ";.", ";,", "\t,"):
+        text = body.translate(str.maketrans(",.", separator + decimal))
+        slow, slow_lines = _parse_row_by_row(Path("a.csv"), columns, (separator, decimal), text, (True, True))
+        assert lines.tolist() == slow_lines.tolist()
+        np.testing.assert_array_max_ulp(fast[np.isfinite(fast)], slow[np.isfinite(slow)], maxulp=1)
+        np.testing.assert_array_equal(np.isnan(fast), np.isnan(slow))
 
 
 @st.composite

@@ -329,7 +329,7 @@ def test_a_robot_that_floats_is_refused() -> None:
 BAD: list[tuple[str, Callable[[dict[str, Any]], dict[str, Any]], type[VjmError], str]] = [
     ("no model", lambda a: a | {"model": 1.0}, ShapeError, "a vjm.FlexibleModel with passive joints"),
     ("angles", lambda a: a | {"q_active": a["q_active"][:, :1]}, ShapeError, "q_active.*shape .T, n_a. = .1500, 2."),
-    ("letters", lambda a: a | {"q_active": "abc"}, ShapeError, "q_active: got str; expected an array of numbers"),
+    ("letters", lambda a: a | {"q_active": "abc"}, ShapeError, "q_active: got 'abc'; expected an array of numbers"),
     ("NaN", lambda a: a | {"torques": a["torques"] * np.nan}, ShapeError, "torques: got NaN or infinity in row 0"),
     ("markers", lambda a: a | {"marker_positions_3d": a["marker_positions_3d"][:, 1:]}, ShapeError, "1500, 12, 3"),
     ("infinity", lambda a: a | {"marker_positions_3d": a["marker_positions_3d"] * np.inf}, ShapeError, "infinity|NaN"),

@@ -19,6 +19,7 @@ from tests.model.robots import LINKS, UR5, Array, box_beam, inertia_of, mass_mat
 from vjm.chain.body_inertia import BodyInertia, split_inertia
 from vjm.cli import main
 from vjm.errors import ChoiceError, InputError, ModelFileError, ShapeError
+from vjm.files import GENERATED
 from vjm.model.modes import modes_of
 from vjm.model.urdf_document import UrdfDocument, springs_of
 
@@ -250,7 +251,17 @@ def test_other_encodings_become_utf_8(tmp_path: Path) -> None:
     )
     (tmp_path / "r.urdf").write_bytes(text.encode("iso-8859-1"))
     flexible = vjm.flexify(tmp_path / "r.urdf", link="bar", joints=1, bending_stiffness=1.0)
-    assert flexible.startswith('<?xml version="1.0" encoding="utf-8"?>\n<!-- Träger -->')
+    head = f'<?xml version="1.0" encoding="utf-8"?>\n<!-- {GENERATED} -->\n<!-- Träger -->\n<robot'
+    assert flexible.startswith(head)
+    (tmp_path / "again.urdf").write_text("\ufeff" + flexible, encoding="utf-8")
+    again = vjm.flexify(tmp_path / "again.urdf", joint="bar_virtual_1_z", stiffness=1.0, rotor_inertia=1.0)
+    assert again.startswith("\ufeff" + head)
+
+
+def test_a_text_without_declaration_begins_with_the_line_that_vjm_wrote_it() -> None:
+    text = "\ufeff" + box_beam(1.0, 1.0, 0.1, 0.1).replace("\n", "\r\n")
+    flexible = vjm.flexify(text, link="bar", joints=1, bending_stiffness=1.0)
+    assert flexible.startswith(f"\ufeff<!-- {GENERATED} -->\r\n<robot")
 
 
 def clamped_modes(text: str) -> dict[str, list[float]]:

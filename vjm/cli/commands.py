@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import codecs
 import inspect
-import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -23,7 +22,7 @@ from vjm.cli.init import init, stdin_is_terminal
 from vjm.diagnosis import Diagnosis, diagnose
 from vjm.errors import MistakeError, ModelFileError, printable
 from vjm.experiment.load import load_experiment
-from vjm.files import FolderError, check_file, check_folder, json_text, read_file, write_folder, write_text
+from vjm.files import check_file, check_folder, check_model_file, json_text, write_folder, write_models
 from vjm.identification import identify
 from vjm.identification.check import Check, check
 from vjm.identification.comparison import compare
@@ -35,7 +34,7 @@ from vjm.model.urdf_document import UrdfDocument, springs_of
 from vjm.records import Progress
 from vjm.report.figures.check import check_picture
 from vjm.report.model_json import load_model, read_model
-from vjm.report.output import REPORT, result_page, save
+from vjm.report.output import REPORT, check_result_folder, result_page, save
 from vjm.report.result_json import flexify_result, result_object, urdf_result
 from vjm.simulation.model import Model
 from vjm.text import counted, number
@@ -67,7 +66,7 @@ def _progress(arguments: argparse.Namespace) -> Iterator[Callable[[str, float], 
 
 
 def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], _Saved]) -> _Saved:
-    check_folder(folder)
+    check_result_folder(folder)
     with _progress(arguments) as show:
         result = compute(lambda text, done, total: show(text, _COMPUTING * done / max(total, 1)))
         drawing = 1 - _COMPUTING
@@ -140,6 +139,9 @@ def _demo(arguments: argparse.Namespace) -> None:
             arguments.out: lambda report: identify(load_experiment(first), progress=report),
             arguments.out / "diagnosis": lambda report: diagnose(load_experiment(second), progress=report),
         }
+        for folder in steps:
+            if folder.parent.exists():
+                check_result_folder(folder)
         results = []
         for folder, compute in steps.items():
             results.append(_saved(arguments, folder, compute))
@@ -150,9 +152,12 @@ def _demo(arguments: argparse.Namespace) -> None:
         _print(json_text({**identified, "diagnosis": diagnosed}))
 
 
+_CHECKED = "check.png", "result.json"
+
+
 def _init(arguments: argparse.Namespace) -> None:
     if arguments.out is not None:
-        check_folder(arguments.out)
+        check_folder(arguments.out, _CHECKED)
     file, missing = init(arguments, stdin_is_terminal() and not arguments.quiet)
     if not (arguments.quiet or arguments.json):
         todo = f"Fill in {', '.join(dict.fromkeys(missing))}, and correct" if missing else "Correct"
@@ -164,13 +169,14 @@ def _init(arguments: argparse.Namespace) -> None:
 
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is not None:
-        check_folder(arguments.out)
+        check_folder(arguments.out, _CHECKED)
     with _progress(arguments):
         checked = check(load_experiment(arguments.experiment))
     if arguments.out is not None:
-        files: dict[str, str | bytes] = {"check.png": check_picture(checked).png}  # shows what is refused as well
+        picture, result = _CHECKED
+        files: dict[str, str | bytes] = {picture: check_picture(checked).png}  # shows what is refused as well
         if not checked.problem:
-            files["result.json"] = json_text(result_object(checked))
+            files[result] = json_text(result_object(checked))
         write_folder(arguments.out, files)
     _show(arguments, checked)
     if checked.problem:
@@ -178,15 +184,17 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _urdf(arguments: argparse.Namespace) -> None:
-    model, file, simulator = _model(arguments.source), arguments.out, arguments.simulator
+    file, simulator = arguments.out, arguments.simulator
     simulator_file = None if simulator is None else simulator_path(file, simulator)
-    for replaced in (file, simulator_file):
-        _check_replaced(replaced, arguments.source)
+    for written in (file, simulator_file):
+        if written is not None:
+            check_model_file(written, arguments.source)
+    model = _model(arguments.source)
     chain, text = model.arm.chain, model.arm.urdf()
     if simulator is not None:
         model.export(file, simulator)
     elif file is not None:
-        write_text(file, text)
+        model.to_urdf(file)
     left_out = model.arm.not_in_simulators if simulator else ()
     if arguments.json:
         files = [None if path is None else str(path) for path in (file, simulator_file)]
@@ -203,10 +211,12 @@ def _urdf(arguments: argparse.Namespace) -> None:
 
 def _flexify(arguments: argparse.Namespace) -> None:
     options = {key: value for key, value in vars(arguments).items() if key in inspect.signature(flexify).parameters}
-    file, text = arguments.out, flexify(**options)
-    _check_replaced(file, arguments.urdf)
+    file = arguments.out
     if file is not None:
-        write_text(file, text)
+        check_model_file(file, arguments.urdf)
+    text = flexify(**options)
+    if file is not None:
+        write_models({file: text})
     document = UrdfDocument.read(text)
     springs = springs_of(document)
     if arguments.json:
@@ -216,24 +226,6 @@ def _flexify(arguments: argparse.Namespace) -> None:
         _print(text)
     elif not arguments.quiet:
         print(printable(f"{file}: {counted(len(springs), 'joint')} with a spring"))
-
-
-_ANOTHER = "choose another file, or remove this one"
-
-
-def _check_replaced(file: Path | None, source: Path) -> None:
-    """Refuse to replace the source by what is made of it, or a file of another kind, such as a recording."""
-    if file is None or not os.path.isfile(file):
-        return
-    if file.samefile(source):
-        raise FolderError(file, "this file is what is read", "choose another file")
-    try:
-        content = read_file(file).lstrip(codecs.BOM_UTF8 + b" \t\r\n")
-    except OSError as error:
-        raise FolderError(file, f"this file exists, and cannot be read ({error.strerror})", _ANOTHER) from error
-    kind, start = ("script of vjm", b"# Simulates ") if file.suffix == ".py" else ("XML", b"<")
-    if content and not content.startswith(start):
-        raise FolderError(file, f"this file exists, and is no {kind}", _ANOTHER)
 
 
 def _model(source: Path) -> Model:

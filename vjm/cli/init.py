@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -34,6 +35,7 @@ def init(arguments: argparse.Namespace, ask: bool) -> tuple[Path, list[str]]:
 
     Raises:
         FolderError: there is an experiment file already, or none can be written.
+        RecordingError: a recording has a column twice, or lacks one.
         InputError: there is no CSV file, one cannot be used, or what was given contradicts itself.
     """
     folder: Path = arguments.folder
@@ -58,10 +60,15 @@ def init(arguments: argparse.Namespace, ask: bool) -> tuple[Path, list[str]]:
     except ExperimentError as error:
         if error.key not in proposal.given:
             raise
-        option = error.key.replace("_", "-")
-        raise InputError(f"--{option}: {error.problem}; expected {error.expected}") from error
+        section = r"\b(bending_stiffness|youngs_modulus|width|thickness)\b"
+        text = re.sub(section, lambda key: _option(key[0]), f"{error.problem}; expected {error.expected}")
+        raise InputError(f"{_option(error.key)}: {text}") from error
     write_text(target, proposal.text())
     return target, proposal.missing
+
+
+def _option(key: str) -> str:
+    return f"--{key.replace('_', '-')}"
 
 
 def stdin_is_terminal() -> bool:

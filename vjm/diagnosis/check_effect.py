@@ -20,7 +20,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import StoppingRule, refit, refit_other_frequencies
 from vjm.diagnosis.screen import CandidateSet, Screen
 from vjm.effects.effect import SENSING_HOOKS, Effect
-from vjm.errors import EffectError, SimulationDivergedError
+from vjm.errors import EffectError, SimulationDivergedError, is_whole, require
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
@@ -54,6 +54,7 @@ def check_effect(effect: Effect, seed: int = 0) -> None:
     Raises:
         EffectError: the first clause that is broken, what was found and what was expected.
     """
+    require("seed", seed, is_whole(seed, 0), "a whole number, zero or more")
     for clause in _CLAUSES:
         _require(effect, clause.__name__.removeprefix("_"), clause(effect, seed))
         if not _overridden(effect):

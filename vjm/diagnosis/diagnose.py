@@ -6,9 +6,9 @@ baseline -> screen -> selection of effects -> alternatives and causes -> simulat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from numbers import Real
+from math import inf
 from time import monotonic
 
 import numpy as np
@@ -33,7 +33,7 @@ from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
 from vjm.effects.effect import is_nonsmooth
-from vjm.errors import ChoiceError, ShapeError, is_whole
+from vjm.errors import ChoiceError, ShapeError, is_number, is_whole, require, require_kind, require_progress, shown
 from vjm.experiment.records import require_experiment
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
@@ -81,11 +81,7 @@ def diagnose(
     """
     require_experiment(experiment)
     chosen = _chosen_effects(effects)
-    for name, value, minimum in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
-        if not is_whole(value, minimum):
-            raise ShapeError(name, value, f"a whole number of at least {minimum}")
-    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, Real) or not budget > 0):
-        raise ShapeError("budget", budget, "a positive number of seconds, or None")
+    _check_options(max_effects, jobs, seed, budget, progress)
     likely = refuse_mistakes(experiment)
     began, seconds = monotonic(), _default_budget(experiment, jobs) if budget is None else float(budget)
     report = Stages(progress, 0.15, seconds)  # share of what remains that each of a dozen takes
@@ -252,16 +248,27 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
     return tuple(notes)
 
 
+def _check_options(max_effects: int, jobs: int, seed: int, budget: float | None, progress: Progress | None) -> None:
+    for name, value, minimum in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
+        require(name, value, is_whole(value, minimum), f"a whole number of at least {minimum}")
+    endless = isinstance(budget, float) and budget == inf
+    valid = budget is None or endless or (is_number(budget) and budget > 0)
+    require("budget", budget, valid, "a positive number of seconds, or None")
+    require_progress(progress)
+
+
 def _chosen_effects(effects: Sequence[str | Effect] | str | Effect | None) -> tuple[Effect, ...]:
     """Return effects by their ids; by default all that are built in."""
     known = {effect.id: effect for effect in BUILTIN}
     chosen: list[Effect] = []
-    for choice in BUILTIN if effects is None else [effects] if isinstance(effects, str | Effect) else effects:
+    choices = BUILTIN if effects is None else [effects] if isinstance(effects, str | Effect) else effects
+    require_kind("effects", choices, Iterable, "ids, or instances of vjm.effects.Effect")
+    for choice in choices:
         if isinstance(choice, str) and choice not in known:
             raise ChoiceError("effect", choice, known)
         effect = known[choice] if isinstance(choice, str) else choice
         if not isinstance(effect, Effect):
-            raise ShapeError("effects", repr(effect), "ids, or instances of vjm.effects.Effect")
+            raise ShapeError("effects", shown(effect), "ids, or instances of vjm.effects.Effect")
         chosen.append(effect)
     ids = [effect.id for effect in chosen]
     if len(set(ids)) < len(ids) or not ids:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vjm.errors import RecordingError, shown
+from vjm.errors import RecordingError, ShapeError, shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,6 +51,18 @@ def as_array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[
         raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{length_note}")
     _check_range(name, key, array, key)
     return array
+
+
+def number_array(name: str, values: Any) -> Array:
+    """Return an argument as an array of numbers.
+
+    Raises:
+        ShapeError: it holds something else.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ShapeError(name, shown(values), "an array of numbers") from None
 
 
 def _may_change(array: Any) -> bool:

@@ -142,13 +142,6 @@ def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind
             raise RecordingError(name, None, column, "the column is missing", expected)
 
 
-def check_separator(file: Path, header: Sequence[str]) -> None:
-    """Raise a `RecordingError` for a CSV file whose header is a single name that holds another separator."""
-    separator = next((mark for mark in ";\t" if len(header) == 1 and mark in header[0]), None)
-    if separator is not None:
-        raise RecordingError(file, 1, None, f"cells are separated by {separator!r}", "cells separated by commas")
-
-
 def check_known_columns(
     name: Path | str, columns: Sequence[str], rig: Rig, row: int | None = None, letters: str = "xy"
 ) -> None:

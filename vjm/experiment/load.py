@@ -25,7 +25,6 @@ from vjm.experiment.conventions import (
     Conventions,
     Units,
     check_known_columns,
-    check_separator,
     known_columns,
     needed_columns,
 )
@@ -38,9 +37,10 @@ from vjm.experiment.records import (
     Rig,
 )
 from vjm.experiment.schema import STRICT, explain, table_model
-from vjm.files import check_file, read_file
+from vjm.files import as_path, check_file, read_file
 from vjm.text import counted
 
+_SEPARATORS = ",;\t"
 _TEXT = "a CSV text file in UTF-8"
 _SECTIONS: dict[str, Any] = {
     "base": table_model(Rig, ("gravity",), ("gravity",)),
@@ -87,11 +87,9 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
     Raises:
         ExperimentError: the experiment file is unusable, or a recording it lists is missing.
         RecordingError: a recording is unusable.
+        ShapeError: no path.
     """
-    try:
-        file = Path(path)
-    except TypeError as error:
-        raise ExperimentError(None, "", "", f"got {shown(path)}", "the path of an experiment file (TOML)") from error
+    file = as_path("path", path, "the path of an experiment file (TOML)")
     document = parse_document(file, _read_toml(file))
     rig, conventions, files = described(file, document)
     all_columns: dict[str, None] = {}  # header names of all files, in order
@@ -251,7 +249,7 @@ def _existing_file(file: Path, place: str, key: str, name: str) -> Path:
 
 
 @dataclass(frozen=True)
-class _Table:
+class RecordingTable:
     """Numbers of a recording file.
 
     Attributes:
@@ -268,9 +266,26 @@ class _Table:
 def _read_recording(
     files: Sequence[Path], table: dict[str, Any], rig: Rig, conventions: Conventions, all_columns: dict[str, None]
 ) -> Recording:
-    """Return the recording in a CSV file, or two; its table in the experiment file is valid by itself.
+    """Return the recording in a CSV file, or two; arguments and errors are those of `read_tables`."""
+    tables = read_tables(files, table, rig, conventions, all_columns)
+    fields = {key: value for key, value in table.items() if key != "motors_file"}
+    return _to_recording(_merged(tables, conventions), tables, fields, rig, conventions)
 
-    Names of the files' columns are added to `all_columns`.
+
+def read_tables(
+    files: Sequence[Path], table: dict[str, Any], rig: Rig, conventions: Conventions, all_columns: dict[str, None]
+) -> list[RecordingTable]:
+    """Return the numbers in the CSV file of a recording, or in its two.
+
+    Args:
+        files: the recording's, and that of its motors if there is one.
+        table: the recording's in the experiment file, valid by itself.
+        rig: the arm.
+        conventions: of the files.
+        all_columns: names of the files' columns are added to it.
+
+    Raises:
+        RecordingError: a column is unknown, missing or there twice, or a cell is no number.
     """
     tables = [_read_table(file, rig, conventions, all_columns) for file in files]
     columns = [column for csv_table in tables for column in csv_table.values]
@@ -292,13 +307,12 @@ def _read_recording(
             else:
                 expected += ", or the file's name for it in [columns]"
             raise RecordingError(source.file, 1, name, problem, expected)
-    fields = {key: value for key, value in table.items() if key != "motors_file"}
-    return _to_recording(_merged(tables, conventions), tables, fields, rig, conventions)
+    return tables
 
 
-def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dict[str, None]) -> _Table:
+def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dict[str, None]) -> RecordingTable:
     """Return the numbers of a file's columns that are named; others are an error unless [columns] names some."""
-    header, body = _read_text(file)
+    header, separator, body = _read_text(file)
     all_columns.update(dict.fromkeys(header))
     letters = conventions.camera.columns
     names = [conventions.standard_name(name) for name in header]
@@ -310,12 +324,12 @@ def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dic
         column = conventions.name_in_files(error.column or "")
         remedy = "" if conventions.columns or error.column in known else ", or the file's own names in [columns]"
         raise RecordingError(file, 1, column, error.problem, error.expected + remedy) from error
-    numbers, lines = _parse(file, header, body, used)
+    numbers, lines = _parse(file, header, separator, body, used)
     columns = [(name, column) for name, use, column in zip(names, used, numbers.T, strict=True) if use]
-    return _Table(file, dict(columns), lines)
+    return RecordingTable(file, dict(columns), lines)
 
 
-def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[str, Array], Indices]:
+def _merged(tables: Sequence[RecordingTable], conventions: Conventions) -> tuple[dict[str, Array], Indices]:
     """Return the columns (T,) of one or two files by their time, and the row of each file (T, files); -1 for none."""
     times = [table.values["t"] for table in tables]
     for table, time in zip(tables, times, strict=True):
@@ -354,7 +368,7 @@ def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[st
 
 def _to_recording(
     merged: tuple[dict[str, Array], Indices],
-    tables: Sequence[_Table],
+    tables: Sequence[RecordingTable],
     fields: dict[str, Any],
     rig: Rig,
     conventions: Conventions,
@@ -388,11 +402,12 @@ def read_numbers(file: Path) -> tuple[tuple[str, ...], Array]:
     Raises:
         RecordingError: it is no CSV file, or no row follows its header.
     """
-    header, body = _read_text(file)
-    return header, _parse(file, header, body, (False,) * len(header))[0]
+    header, separator, body = _read_text(file)
+    return header, _parse(file, header, separator, body, (False,) * len(header))[0]
 
 
-def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
+def _read_text(file: Path) -> tuple[tuple[str, ...], str, bytes]:
+    """Return the names in a file's header, what separates its cells, and what follows the header."""
     try:
         raw = read_file(file)
     except OSError as error:
@@ -408,27 +423,36 @@ def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
     if not raw or raw.isspace():
         raise RecordingError(file, None, None, "the file is empty", "a header line and rows of numbers")
     header, *body = re.split(rb"\r\n|\n|\r", raw, maxsplit=1)
-    return _split_header(file, header.decode("utf-8")), body[0].rstrip(b"\r\n") if body else b""
+    return *_split_header(file, header.decode("utf-8")), body[0].rstrip(b"\r\n") if body else b""
 
 
-def _split_header(file: Path, header: str) -> tuple[str, ...]:
+def _split_header(file: Path, header: str) -> tuple[tuple[str, ...], str]:
+    """Return the names in a header and what separates them: a semicolon or a tab where there is nothing else."""
+    found = [mark for mark in _SEPARATORS if mark in header] or [","]
+    if len(found) > 1 and "," not in found:
+        raise RecordingError(file, 1, None, "semicolons and tabs between names", "cells separated by one of them")
     try:
-        names = tuple(name.strip() for name in next(csv.reader([header], strict=True), []))
+        names = tuple(name.strip() for name in next(csv.reader([header], delimiter=found[0], strict=True), []))
     except csv.Error as error:
         raise RecordingError(file, 1, None, f"the header cannot be read ({error})", "column names") from error
     if not names:
         raise RecordingError(file, 1, None, "the header is empty", "column names")
-    check_separator(file, names)
-    return names
+    return names, found[0]
 
 
-def _parse(file: Path, columns: tuple[str, ...], body: bytes, used: tuple[bool, ...]) -> tuple[Array, Indices]:
+def _parse(
+    file: Path, columns: tuple[str, ...], separator: str, body: bytes, used: tuple[bool, ...]
+) -> tuple[Array, Indices]:
     """Return the (T, c) values of what follows a header, and their lines.
 
-    A column that is not `used` is NaN where it holds no number.
+    Where commas do not separate cells, they are decimal commas, and points none. A column that is not `used` is NaN
+    where it holds no number.
     """
-    parsed = None if body.isspace() else _parse_at_once(body, len(columns))
-    values, lines = parsed or _parse_row_by_row(file, columns, body.decode("utf-8"), used)
+    decimal = "," if separator != "," and b"," in body else "."
+    mixed = decimal == "," and b"." in body
+    standard = body if separator == "," else body.translate(bytes.maketrans(f"{separator}{decimal}".encode(), b",."))
+    parsed = None if body.isspace() or mixed else _parse_at_once(standard, len(columns))
+    values, lines = parsed or _parse_row_by_row(file, columns, (separator, decimal), body.decode("utf-8"), used)
     if not lines.size:
         raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
     return values, lines
@@ -450,12 +474,16 @@ def _parse_at_once(body: bytes, count: int) -> tuple[Array, Indices] | None:
     return None if np.isinf(values).any() else (values, np.arange(2, len(values) + 2, dtype=np.intp))
 
 
-def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str, used: tuple[bool, ...]) -> tuple[Array, Indices]:
+def _parse_row_by_row(
+    file: Path, columns: tuple[str, ...], marks: tuple[str, str], text: str, used: tuple[bool, ...]
+) -> tuple[Array, Indices]:
     """Return (T, c) values and their lines of text that has quotes, blank lines, or a fault, which is located.
 
-    Columns that are not `used` are NaN, whatever they hold.
+    `marks` are what separates cells and what separates decimals. Columns that are not `used` are NaN, whatever they
+    hold.
     """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    separator, decimal = marks
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     rows: list[list[float]] = []
     lines: list[int] = []
     try:
@@ -467,22 +495,23 @@ def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str, used: tup
                 expected = f"{len(columns)} cells, as in the header"
                 raise RecordingError(file, line, None, counted(len(cells), "cell"), expected)
             named = zip(columns, cells, used, strict=True)
-            rows.append([_parse_cell(file, line, name, cell, use) for name, cell, use in named])
+            rows.append([_parse_cell(file, line, name, cell, use, decimal) for name, cell, use in named])
             lines.append(line)
     except csv.Error as error:
         line = reader.line_num + 1
-        raise RecordingError(file, line, None, f"cannot be read ({error})", "cells and commas") from error
+        raise RecordingError(file, line, None, f"cannot be read ({error})", "cells and separators") from error
     return np.array(rows, dtype=np.float64), np.array(lines, dtype=np.intp)
 
 
-def _parse_cell(file: Path, line: int, column: str, text: str, used: bool) -> float:
-    cell = text.strip()
-    number = re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell, re.ASCII)
-    if number and math.isfinite(float(cell)):
-        return float(cell)
+def _parse_cell(file: Path, line: int, column: str, text: str, used: bool, decimal: str) -> float:
+    cell, mark = text.strip(), re.escape(decimal)
+    number = re.fullmatch(rf"[+-]?(\d+{mark}?\d*|{mark}\d+)([eE][+-]?\d+)?", cell, re.ASCII)
+    if number and math.isfinite(value := float(cell.replace(decimal, "."))):
+        return value
     if not cell or not used:
         return math.nan
     infinite = number or cell.lstrip("+-").lower() in {"inf", "infinity"}
     problem = f"an infinite value, {shown(cell)}" if infinite else f"{shown(cell)} is not a number"
-    expected = "a finite number, or an empty cell where nothing was measured"
+    written = " with a decimal comma, as others in this file" if decimal == "," else ""
+    expected = f"a finite number{written}, or an empty cell where nothing was measured"
     raise RecordingError(file, line, column, problem, expected)

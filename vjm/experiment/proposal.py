@@ -18,7 +18,7 @@ from jinja2 import Environment, StrictUndefined
 from vjm.errors import RecordingError, printable
 from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS, Array
-from vjm.experiment.load import described, parse_document, read_numbers
+from vjm.experiment.load import described, parse_document, read_numbers, read_tables
 
 # Stands where a number has to be filled in: no key takes a text there, so that reading the file names it.
 _UNKNOWN = "?"
@@ -255,14 +255,18 @@ class ExperimentProposal:
         return environment.from_string(template).render(proposal=self, given=self.given, unknown=_UNKNOWN)
 
     def check(self, file: Path) -> None:
-        """Refuse what the experiment file would be refused for, but for what has to be filled in and for recordings.
+        """Refuse what the experiment file would be refused for, but for what has to be filled in.
+
+        Of the recordings columns and cells are looked at, not whether their numbers make sense.
 
         Raises:
-            ExperimentError: as `load_experiment` does.
+            ExperimentError, RecordingError: as `load_experiment` does.
         """
         document = parse_document(file, self.text().encode())
         document["link"] = [_filled_in(link) for link in document["link"]]
-        described(file, document)
+        rig, conventions, files = described(file, document)
+        for sources, table in zip(files, document["recording"], strict=True):
+            read_tables(sources, table, rig, conventions, {})
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -9,14 +9,24 @@ from functools import cached_property
 from itertools import count
 from math import isclose
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from annotated_types import Ge, Le, MinLen, Predicate
 from numpy.typing import NDArray
 
-from vjm.errors import ExperimentError, RecordingError, printable, shown
-from vjm.experiment.arrays import as_array, check_rate, check_time, check_turns, column_numbers
+from vjm.errors import (
+    ExperimentError,
+    RecordingError,
+    ShapeError,
+    printable,
+    require,
+    require_choice,
+    require_kind,
+    shown,
+)
+from vjm.experiment.arrays import as_array, check_rate, check_time, check_turns, column_numbers, number_array
 from vjm.experiment.checks import MIN_FRAMES, cleaned, experiment_warnings
 from vjm.experiment.conventions import Conventions, angle_of, check_columns
 from vjm.text import counted
@@ -133,8 +143,8 @@ class Link:
         if self.bending_stiffness is not None:
             # A link keeps both, and a copy of it is given both.
             if present and (absent or not np.isclose(stiffness, self.bending_stiffness, rtol=1e-6, atol=0.0)):
-                expected = f"{alternatives}; a copy with another section has bending_stiffness = None"
-                self._refuse(present[0], "given together with bending_stiffness", expected)
+                advice = "a copy with another section has bending_stiffness = None"
+                self._refuse(present[0], "given together with bending_stiffness", alternatives, advice)
             return self.bending_stiffness
         if absent:
             self._refuse(absent[0] if present else "bending_stiffness", "missing", alternatives)
@@ -144,8 +154,8 @@ class Link:
             self._refuse("youngs_modulus", problem, expected)
         return stiffness
 
-    def _refuse(self, key: str, problem: str, expected: str) -> None:
-        raise ExperimentError(None, f"link {self.name}", key, problem, expected)
+    def _refuse(self, key: str, problem: str, expected: str, in_python: str = "") -> None:
+        raise ExperimentError(None, f"link {self.name}", key, problem, expected, in_python)
 
     @property
     def marker_columns(self) -> tuple[str, ...]:
@@ -286,6 +296,10 @@ class Recording:
         markers = as_array(name, "markers", self.markers, "(T, k, 2) positions [m]", (time.size, None, 2))
         if self.input == "motion":
             arrays["tau"] = np.full_like(arrays.get("theta", unknown), np.nan)
+        if self.acceleration is not None:
+            shape = arrays.get("theta", unknown).shape
+            valid = number_array("acceleration", self.acceleration).shape == shape
+            require("acceleration", self.acceleration, valid, f"an array {shape}, as theta has [rad/s^2]")
         for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": time, "markers": markers}.items():
             object.__setattr__(self, key, value)
 
@@ -301,12 +315,13 @@ class Recording:
 
         Raises:
             ExperimentError: a field has the wrong type or value.
+            ShapeError: no frame.
             RecordingError: a column is unknown or missing, a cell is no number, or too few frames are usable.
         """
         file, rig = fields.get("file"), as_rig(rig)
         name = file if isinstance(file, str) and file else "recording"
         if not hasattr(frame, "columns"):
-            raise RecordingError(name, None, None, f"got {shown(frame)}", "a pandas DataFrame")
+            raise ShapeError("frame", shown(frame), "a pandas DataFrame")
         columns = tuple(str(column) for column in frame.columns)
         check_columns(name, columns, rig, kind, fields.get("input", "torque"))
         values = {column: column_numbers(name, column, frame[column]) for column in columns}
@@ -382,6 +397,10 @@ class Experiment:
         """Validate."""
         rig = as_rig(self.rig)
         rig.require_markers()
+        require_kind("file", self.file, (Path, NoneType), "the path of the experiment file, or None")
+        require_kind("conventions", self.conventions, Conventions, "the conventions of another experiment")
+        valid = isinstance(self.unused_columns, tuple) and all(isinstance(name, str) for name in self.unused_columns)
+        require("unused_columns", self.unused_columns, valid, "names of columns")
         recordings: list[Recording] = []
         given = _tuple_of(self.recordings, Recording, "experiment", "recordings")
         taken = {recording.file: recording for recording in reversed(given) if recording.file}
@@ -437,7 +456,12 @@ class Experiment:
         return tuple(cleaned(self.rig, recording, self.conventions.camera.origin) for recording in self.recordings)
 
     def with_role(self, role: Role) -> tuple[Recording, ...]:
-        """Return the recordings of one role as they were read, in order."""
+        """Return the recordings of one role as they were read, in order.
+
+        Raises:
+            ChoiceError: an unknown role.
+        """
+        require_choice("role", role, get_args(Role))
         return tuple(recording for recording in self.recordings if recording.role == role)
 
 
@@ -461,12 +485,19 @@ def require_experiment(experiment: Experiment) -> None:
         raise ExperimentError(None, "experiment", "experiment", f"got {shown(experiment)}", expected)
 
 
+def require_recording(recording: Recording) -> None:
+    """Raise a `ShapeError` for what is no recording, such as the name of its file."""
+    require_kind("recording", recording, Recording, "a vjm.Recording, such as one of `experiment.recordings`")
+
+
 def for_rig(rig: Rig, recording: Recording, name: str = "recording") -> Recording:
     """Return a recording as one of a rig: with the rig's gravity if it was given none, and a name if it has none.
 
     Raises:
         RecordingError: it does not fit the rig, or has fewer than 10 usable frames.
+        ShapeError: no recording.
     """
+    require_recording(recording)
     own = not isinstance(recording.gravity, _RigsGravity)
     gravity = recording.gravity if own else _RigsGravity(rig.gravity)
     if gravity != recording.gravity or not recording.file:

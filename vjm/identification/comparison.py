@@ -9,7 +9,15 @@ from functools import partial
 import numpy as np
 
 from vjm.chain.layout import nominal_chain
-from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
+from vjm.errors import (
+    InsufficientDataError,
+    ShapeError,
+    SimulationDivergedError,
+    require,
+    require_kind,
+    require_progress,
+)
+from vjm.experiment.arrays import number_array
 from vjm.experiment.records import require_experiment
 from vjm.identification.check import fit_warnings
 from vjm.identification.mistakes import refuse_mistakes
@@ -39,10 +47,14 @@ def compare(
 
     Raises:
         ExperimentError: no experiment.
-        ShapeError: a model whose links have other names than the rig's, or are longer or shorter.
+        ShapeError: no model, no covariance, or a model whose links have other names than the rig's, or other lengths.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
     """
     require_experiment(experiment)
+    require_kind("model", model, Model, "a vjm.Model, such as `fit.model`, or of `vjm.load_model(file)`")
+    known = np.empty((0, 0)) if covariance is None else number_array("covariance", covariance)
+    require("covariance", known, known.ndim == 2 and len(set(known.shape)) == 1, "(p, p) numbers, or None")
+    require_progress(progress)
     names, rig_names = ([link.name for link in links] for links in (model.chain.links, experiment.rig.links))
     if names != rig_names:
         raise ShapeError("model", f"links {names}", f"the experiment's links {rig_names}")
@@ -54,7 +66,6 @@ def compare(
     likely = refuse_mistakes(experiment)
     nominal = replace(model, chain=nominal_chain(experiment.rig, model.chain.links), estimates=(), effects=())
     recordings = compare_recordings(experiment, model, (nominal, None), progress)
-    known = np.empty((0, 0)) if covariance is None else covariance
     warnings = (*likely, *experiment.warnings, *fit_warnings(recordings))
     return Comparison(experiment, model, nominal, known, recordings, warnings)
 

@@ -10,7 +10,7 @@ import numpy as np
 from vjm.chain.curve import curve_map
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError, ShapeError, is_whole, shown
+from vjm.errors import is_whole, require, require_choice, require_kind, require_progress
 from vjm.experiment.records import require_experiment
 from vjm.experiment.spectrum import match, mode_shapes
 from vjm.identification.check import (
@@ -79,7 +79,7 @@ def identify(
     Raises:
         ExperimentError: no experiment.
         ChoiceError: an unknown method or option.
-        ShapeError: a number of virtual joints below 1 or above 60.
+        ShapeError: a number of virtual joints below 1 or above 60, or another argument of the wrong kind.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
         InsufficientDataError: recordings that cannot determine the model.
         SimulationDivergedError: no start can be simulated.
@@ -94,10 +94,11 @@ def identify(
         ("derivatives", derivatives, get_args(DerivativeMethod)),
         ("loss", loss, LOSSES),
     ):
-        if value not in choices:
-            raise ChoiceError(option, value, choices)
-    if virtual_joints is not None and not (is_whole(virtual_joints, 1) and virtual_joints <= 60):
-        raise ShapeError("virtual_joints", shown(virtual_joints), "a whole number from 1 to 60")
+        require_choice(option, value, choices)
+    valid = virtual_joints is None or (is_whole(virtual_joints, 1) and virtual_joints <= 60)
+    require("virtual_joints", virtual_joints, valid, "a whole number from 1 to 60")
+    require_kind("baselines", baselines, bool, "True or False")
+    require_progress(progress)
     likely = refuse_mistakes(experiment)
     progress = Stages(progress, 0.25).inside  # share of the remaining progress that a fit takes: there are seven
     data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from vjm.errors import ChoiceError
+from vjm.errors import require_choice
 from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.markers.angles import ShapeSettings, estimate_angles
@@ -103,8 +103,7 @@ class Identification(Comparison, ByParameter):
         """
         name = recording.file if isinstance(recording, Recording) else recording
         by_name = {comparison.recording.file: comparison for comparison in self.recordings}
-        if name not in by_name:
-            raise ChoiceError("recording", name, by_name)
+        require_choice("recording", name, by_name)
         comparison, chain, rig = by_name[name], self.model.chain, self.model.rig
         angles = estimate_angles(rig, chain.links, comparison.recording, self.shape, *comparison.noise)
         measured, simulated = np.full((2, comparison.recording.time.size, chain.passive.size), np.nan)

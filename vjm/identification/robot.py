@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vjm.errors import InsufficientDataError
+from vjm.errors import InsufficientDataError, require_kind
 from vjm.identification.robot_data import (
     FEWEST_FRAMES,
     RobotSignals,
@@ -146,6 +146,7 @@ def identify_stiffness(
         ChoiceError: a marker's frame that the model has not.
         InsufficientDataError: fewer than 40 frames; markers that leave angles of a link open.
     """
+    require_kind("tied", tied, bool, "True or False")
     t, motors, positions, places = checked_motion(
         model, time, q_active, rates, accelerations, torques, marker_positions_3d, markers, bandwidth
     )

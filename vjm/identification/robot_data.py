@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from vjm.errors import InsufficientDataError, ShapeError
+from vjm.errors import InsufficientDataError, ShapeError, is_number, require, require_kind
+from vjm.experiment.arrays import number_array
 from vjm.experiment.spectrum import white_noise
 from vjm.identification.uncertainty import SINGULAR
 from vjm.markers.angles import solve_angles
@@ -73,9 +74,9 @@ def checked_motion(
     bandwidth: float | None,
 ) -> tuple[Array, dict[str, Array], Array, list[tuple[str, Array]]]:
     """Return instants, what the motors measure by name, markers' positions and places, or refuse them."""
-    if not isinstance(model, FlexibleModel) or not model.passive.size:
-        raise ShapeError("model", type(model).__name__, "a vjm.FlexibleModel with passive joints")
-    t = _numbers("time", time)
+    valid = isinstance(model, FlexibleModel) and bool(model.passive.size)
+    require("model", model, valid, "a vjm.FlexibleModel with passive joints")
+    t = number_array("time", time)
     if t.ndim != 1 or t.size < FEWEST_FRAMES:
         raise InsufficientDataError(
             "stiffness", f"time has shape {t.shape}", f"give (T,) of {FEWEST_FRAMES} frames or more"
@@ -83,14 +84,14 @@ def checked_motion(
     if not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise ShapeError("time", "instants that are not finite or do not grow", "(T,) in seconds, growing")
     quantities = {"q_active": q_active, "rates": rates, "accelerations": accelerations, "torques": torques}
-    if bandwidth is not None and not 0 < bandwidth <= 0.25 / float(np.median(np.diff(t))):
-        highest = 0.25 / float(np.median(np.diff(t)))
-        raise ShapeError("bandwidth", bandwidth, f"a frequency up to {highest:.4g} Hz, a quarter of the frame rate")
+    highest = 0.25 / float(np.median(np.diff(t)))
+    valid = bandwidth is None or (is_number(bandwidth) and 0 < bandwidth <= highest)
+    require("bandwidth", bandwidth, valid, f"a frequency up to {highest:.4g} Hz, a quarter of the frame rate")
     motors = {}
     for name, values in quantities.items():
         if values is None and name != "q_active":
             continue
-        array = _numbers(name, values)
+        array = number_array(name, values)
         if array.shape != (t.size, model.active.size):
             raise ShapeError(name, f"shape {array.shape}", f"shape (T, n_a) = ({t.size}, {model.active.size})")
         if not np.isfinite(array).all():
@@ -99,16 +100,17 @@ def checked_motion(
             )
         motors[name] = array
     places = []
+    require_kind("markers", markers, (Mapping, Sequence), "a frame and an offset (3,) [m] for each, in a list")
     for place in markers.values() if isinstance(markers, Mapping) else markers:
         try:
             frame, offset = place
         except (TypeError, ValueError):
             raise ShapeError("markers", place, "a frame and an offset (3,) [m] for each") from None
-        offset = _numbers(f"marker in {frame}", offset)
+        offset = number_array(f"marker in {frame}", offset)
         if offset.shape != (3,) or not np.isfinite(offset).all():
             raise ShapeError(f"marker in {frame}", offset.tolist(), "an offset of three finite numbers [m]")
         places.append((str(frame), offset))
-    marker_positions = _numbers("marker_positions_3d", positions)
+    marker_positions = number_array("marker_positions_3d", positions)
     if marker_positions.shape != (t.size, len(places), 3):
         raise ShapeError(
             "marker_positions_3d", f"shape {marker_positions.shape}", f"shape (T, k, 3) = ({t.size}, {len(places)}, 3)"
@@ -116,13 +118,6 @@ def checked_motion(
     if np.isinf(marker_positions).any():
         raise ShapeError("marker_positions_3d", "infinity", "numbers, or NaN where a marker was not seen")
     return t, motors, marker_positions, places
-
-
-def _numbers(name: str, values: object) -> Array:
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ShapeError(name, type(values).__name__, "an array of numbers") from None
 
 
 def spring_groups(model: FlexibleModel, tied: bool) -> tuple[SpringGroup, ...]:

@@ -12,7 +12,16 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import root_scalar
 
-from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
+from vjm.errors import (
+    ChoiceError,
+    InsufficientDataError,
+    SimulationDivergedError,
+    is_number,
+    is_whole,
+    require,
+    require_kind,
+    require_progress,
+)
 from vjm.identification.parameters import at_bounds
 from vjm.identification.records import Identification, Whiteness
 from vjm.identification.torque_method import TorqueFit
@@ -213,12 +222,13 @@ def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -
 
     Raises:
         ChoiceError: no such parameter.
-        ShapeError: a confidence outside (0, 1).
+        ShapeError: no fit, or a confidence outside (0, 1).
         InsufficientDataError: a fit by another method, or a parameter that the recordings do not respond to.
     """
+    _require_fit(fit)
     estimate = fit[name]
-    if not 0 < confidence < 1:
-        raise ShapeError("confidence", confidence, "a number between 0 and 1")
+    valid = is_number(confidence) and 0 < confidence < 1
+    require("confidence", confidence, valid, "a number between 0 and 1")
     best = _trajectory_fit(fit, "profile")
     if estimate.std is None or not estimate.std > 0:
         raise InsufficientDataError("profile", f"{name}: {estimate.reason or 'no standard error'}", "record more")
@@ -226,6 +236,10 @@ def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -
     quantile = float(stats.norm.ppf((1 + confidence) / 2))
     low, high = (_profile_end(best, index, sign * estimate.std, quantile) for sign in (-1.0, 1.0))
     return max(low, 0.0), high
+
+
+def _require_fit(fit: Identification) -> None:
+    require_kind("fit", fit, Identification, "what vjm.identify returned")
 
 
 def _trajectory_fit(fit: Identification, purpose: str) -> TrajectoryFit:
@@ -296,13 +310,17 @@ def bootstrap(
 
     Raises:
         ChoiceError: an unknown kind.
-        ShapeError: fewer than two samples.
+        ShapeError: no fit, fewer than two samples, or another argument of the wrong kind.
         InsufficientDataError: a fit by another method, or too many fits that fail.
     """
     if kind not in get_args(ErrorKind):
         raise ChoiceError("kind", kind, get_args(ErrorKind))
-    if samples < 2:
-        raise ShapeError("samples", samples, "two or more")
+    _require_fit(fit)
+    require("samples", samples, is_whole(samples, 2), "a whole number, two or more")
+    require("seed", seed, is_whole(seed, 0), "a whole number, zero or more")
+    valid = executor is None or callable(getattr(executor, "map", None))
+    require("executor", executor, valid, "a concurrent.futures.Executor, or None")
+    require_progress(progress)
     return _resampled(_trajectory_fit(fit, "bootstrap").point, samples, kind, executor, seed, progress)
 
 

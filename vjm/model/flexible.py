@@ -7,17 +7,27 @@ with the stiffness K, the damping D, the spring's torques p at zero displacement
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from vjm.errors import ChoiceError, MissingPackageError, ModelFileError, ShapeError
+from vjm.errors import (
+    ChoiceError,
+    MissingPackageError,
+    ModelFileError,
+    ShapeError,
+    require,
+    require_choice,
+    require_kind,
+)
+from vjm.experiment.arrays import number_array
 from vjm.model.dynamics import RigidBodies
 from vjm.model.modes import EquilibriumStatus, Modes, balance, modes_of
 from vjm.model.urdf_document import FlexibleLink, UrdfDocument, flexible_links_of, springs_of
@@ -141,6 +151,10 @@ class FlexibleModel:
         cells: Mapping[str, float] | None = None,
         links: Sequence[FlexibleLink] = (),
     ) -> None:
+        require_kind("model", model, pin.Model, "a pin.Model")
+        require_kind("cells", cells, (Mapping, NoneType), "lengths [m] by joint, in a dictionary")
+        valid = isinstance(links, Sequence) and all(isinstance(link, FlexibleLink) for link in links)
+        require("links", links, valid, "the links of another FlexibleModel")
         self.model = pin.Model(model)
         for number, name in enumerate(model.names):  # for loads and markers; models built in code may lack them
             if not self.model.existFrame(name):
@@ -150,14 +164,14 @@ class FlexibleModel:
             for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True)  # after the universe
             for k in range(joint.nv)
         )
-        chosen = np.arange(model.nv) if joints is None else self.indices(joints)
+        chosen = np.arange(model.nv) if joints is None else self._indices("joints", joints)
         self.stiffness = self._of_coordinates("stiffness", stiffness, chosen)
         self.damping = self._of_coordinates("damping", damping, chosen)
         self.preload = self._of_coordinates("preload", preload, np.arange(model.nv), low=-np.inf)
         if passive is None and joints is None:
             self.passive: Indices = np.flatnonzero(self.stiffness)
         else:
-            self.passive = np.unique(self.indices(joints or () if passive is None else passive))
+            self.passive = np.unique(self._indices("passive", joints or () if passive is None else passive))
         self.active: Indices = np.setdiff1d(np.arange(model.nv), self.passive)
         self.cells, self.links = dict(cells or {}), tuple(links)
         # Positions of coordinates in q: q itself, or the angle of a cosine and a sine; a free body has none.
@@ -191,8 +205,10 @@ class FlexibleModel:
 
         Raises:
             ModelFileError: no URDF, or one without springs.
-            ShapeError: gravity that is no vector.
+            ShapeError: gravity that is no vector, or a root that is no joint.
         """
+        valid = root is None or callable(getattr(root, "shortname", None))
+        require("root", root, valid, "a joint such as pin.JointModelFreeFlyer()")
         document = UrdfDocument.read(urdf)
         springs = springs_of(document)
         extension = document.robot.first("vjm:model")
@@ -205,7 +221,7 @@ class FlexibleModel:
         if gravity is None and "gravity" in extension.attributes:  # of an identified arm, in its plane
             gravity = np.r_[document.numbers(extension.attributes["gravity"], "gravity", 2), 0.0]
         if gravity is not None:
-            vector = np.asarray(gravity, dtype=float)
+            vector = number_array("gravity", gravity)
             if vector.shape != (3,) or not np.isfinite(vector).all():
                 raise ShapeError("gravity", gravity, "three finite numbers [m/s^2]")
             model.gravity = pin.Motion(vector, np.zeros(3))
@@ -217,9 +233,7 @@ class FlexibleModel:
             armature[model.joints[model.getJointId(element.attributes["name"])].idx_v] += rotor
         model.armature = armature
         preload = np.zeros(model.nv)
-        if (
-            extension.first("vjm:base_slide") is not None
-        ):  # its spring carries the weight where its displacement is zero
+        if extension.first("vjm:base_slide") is not None:  # its spring carries the weight at zero
             k = model.joints[model.getJointId("base_slide")].idx_v
             preload[k] = pin.computeGeneralizedGravity(model, model.createData(), pin.neutral(model))[k]
         passive = [spring.joint for spring in springs if not spring.driven]
@@ -232,14 +246,20 @@ class FlexibleModel:
 
         Raises:
             ChoiceError: no such joint.
+            ShapeError: neither text nor names.
         """
+        return self._indices("coordinates", coordinates)
+
+    def _indices(self, argument: str, coordinates: Coordinates) -> Indices:
+        require_kind(argument, coordinates, Iterable, "all, active, passive, or a list of joints' names")
         if isinstance(coordinates, str):
             if coordinates not in ("all", "active", "passive"):
-                raise ChoiceError("coordinates", coordinates, ("all", "active", "passive", "a list of names"))
+                raise ChoiceError(argument, coordinates, ("all", "active", "passive", "a list of names"))
             all_indices: Indices = np.arange(self.model.nv)
             return all_indices if coordinates == "all" else np.array(getattr(self, coordinates))
         selected: list[int] = []
         for name in coordinates:
+            require_kind(argument, name, str, "names of joints")
             matches = [
                 k for k, coordinate in enumerate(self.names) if name in (coordinate, coordinate.partition("[")[0])
             ]
@@ -249,7 +269,7 @@ class FlexibleModel:
         return np.array(selected, dtype=np.intp)
 
     def _of_coordinates(self, name: str, value: ArrayLike, chosen: Indices, low: float = 0.0) -> Array:
-        values = np.asarray(value, dtype=float)
+        values = number_array(name, value)
         if values.shape not in ((), (chosen.size,)):
             raise ShapeError(name, f"shape {values.shape}", f"one value, or shape ({chosen.size},)")
         if not np.isfinite(values).all() or (values < low).any():
@@ -268,7 +288,7 @@ class FlexibleModel:
 
     def _rows(self, **vectors: ArrayLike) -> tuple[bool, list[Array]]:
         """Return whether single vectors are given, and all as batches (T, n): q of nq numbers, others of nv."""
-        arrays = {name: np.asarray(values, dtype=float) for name, values in vectors.items()}
+        arrays = {name: number_array(name, values) for name, values in vectors.items()}
         single = all(array.ndim == 1 for array in arrays.values())
         batches = []
         for name, array in arrays.items():
@@ -386,6 +406,7 @@ class FlexibleModel:
             ChoiceError: no such frame.
             ShapeError: no force (3,), or force and moment (6,).
         """
+        require_kind("loads", loads, Mapping, "forces (3,) [N] by frame, in a dictionary")
         model, data = self.model, self._data
         torque, slope = np.zeros(model.nv), np.zeros((model.nv, model.nv))
         if not loads:
@@ -393,7 +414,7 @@ class FlexibleModel:
         pin.computeJointJacobians(model, data, self._rows(q=q)[1][0][0])
         pin.updateFramePlacements(model, data)
         for name, load in loads.items():
-            wrench, frame = np.asarray(load, dtype=float), self._frame(name)
+            wrench, frame = number_array(f"loads[{name!r}]", load), self._frame(name)
             if wrench.shape not in ((3,), (6,)) or not np.isfinite(wrench).all():
                 raise ShapeError(f"loads[{name!r}]", wrench.tolist(), "force [N] (3,), or force and moment (6,)")
             force, moment = wrench[:3], wrench[3:] if wrench.size == 6 else np.zeros(3)
@@ -429,7 +450,10 @@ class FlexibleModel:
 
         def unbalanced(turns: Array) -> Array:
             posture = configuration(turns)
-            return self.inverse_dynamics(posture, zero, zero) - self.load_torques(posture, loads or {})[0]
+            return (
+                self.inverse_dynamics(posture, zero, zero)
+                - self.load_torques(posture, {} if loads is None else loads)[0]
+            )
 
         def tangent(turns: Array) -> Array:
             return self._tangent_stiffness(configuration(turns), loads)[np.ix_(passive, passive)]
@@ -443,7 +467,7 @@ class FlexibleModel:
     def _tangent_stiffness(self, q: Array, loads: Loads | None) -> Array:
         """Return dg/dq + K - d(J^T w)/dq (nv, nv) [N m/rad]."""
         slope = self._rigid.gravity_stiffness(q) + np.diag(self.stiffness)
-        return np.asarray(slope - self.load_torques(q, loads or {})[1])
+        return np.asarray(slope - self.load_torques(q, {} if loads is None else loads)[1])
 
     def linearise(
         self, q: ArrayLike, loads: Loads | None = None, coordinates: Coordinates = "all"
@@ -500,21 +524,23 @@ class FlexibleModel:
             ChoiceError: no such joint or frame; a strain at a joint without a cell.
             ShapeError: an output that is no vector of nv numbers.
         """
-        posture, chosen, driven = self._rows(q=q)[1][0][0], self.indices(coordinates), self.indices(inputs)
+        posture, chosen, driven = self._rows(q=q)[1][0][0], self.indices(coordinates), self._indices("inputs", inputs)
         M, D, K = self.linearise(posture, loads, coordinates)
         rows: dict[str, Array] = {}
+        for argument, value in {"markers": markers, "strains": strains, "outputs": outputs}.items():
+            require_kind(argument, value, (Mapping, NoneType), "a dictionary by the outputs' names")
         for name, place in (markers or {}).items():
             frame, point = (place, np.zeros(3)) if isinstance(place, str) else place
             for axis, row in zip("xyz", self.point_jacobian(posture, frame, point), strict=True):
                 rows[f"{name}.{axis}"] = row
         unit = np.eye(self.model.nv)
-        rows |= {self.names[k]: unit[k] for k in self.indices(encoders)}
+        rows |= {self.names[k]: unit[k] for k in self._indices("encoders", encoders)}
         for name, (joint, distance) in (strains or {}).items():
             if joint not in self.cells:
                 raise ChoiceError("joint with a cell", joint, self.cells or ["none"])
             rows[name] = distance / self.cells[joint] * unit[self.indices([joint])[0]]
         for name, coefficients in (outputs or {}).items():
-            rows[name] = np.asarray(coefficients, dtype=float)
+            rows[name] = number_array(f"outputs[{name!r}]", coefficients)
             if rows[name].shape != (self.model.nv,):
                 raise ShapeError(f"outputs[{name!r}]", f"shape {rows[name].shape}", f"shape ({self.model.nv},)")
         size = chosen.size
@@ -533,7 +559,7 @@ class FlexibleModel:
 
     def point_jacobian(self, q: ArrayLike, frame: str, point: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
         """Return the derivative of the position of a point of a frame, in the world, by q (3, nv) [m/rad]."""
-        offset = np.asarray(point, dtype=float)
+        offset = number_array("point", point)
         if offset.shape != (3,):
             raise ShapeError("point", f"shape {offset.shape}", "shape (3,)")
         posture, number = self._rows(q=q)[1][0][0], self._frame(frame)
@@ -543,8 +569,7 @@ class FlexibleModel:
         return np.asarray(J[:3] - pin.skew(arm) @ J[3:])
 
     def _frame(self, name: str) -> int:
-        if not self.model.existFrame(name):
-            raise ChoiceError("frame", name, [frame.name for frame in self.model.frames])
+        require_choice("frame", name, [frame.name for frame in self.model.frames])
         return int(self.model.getFrameId(name))
 
     def casadi(self) -> CasadiFunctions:

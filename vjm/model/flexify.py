@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from types import NoneType
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -14,7 +15,8 @@ import numpy as np
 
 from vjm.chain.body_inertia import BodyInertia, split_inertia
 from vjm.chain.layout import layout, layout_of_lengths
-from vjm.errors import ChoiceError, ShapeError
+from vjm.errors import ChoiceError, ShapeError, is_number, is_whole, require, require_choice, require_kind
+from vjm.experiment.arrays import number_array
 from vjm.model.urdf import template
 from vjm.model.urdf_document import NAMESPACE, Edit, Element, UrdfDocument, exact, positive
 from vjm.records import Array
@@ -140,7 +142,8 @@ def flexify(
     is. An elastic joint (M. W. Spong, Modeling and Control of Elastic Joint Robots, ASME J. Dyn. Syst. Meas. Control
     109, 1987) is the motor's, which keeps its name and limits, and a spring `NAME_spring` about the same axis; the
     rotor's inertia acts on the motor's angle alone. Stiffness, cells and rotor inertia, for which URDF has no element,
-    are in an element `vjm:model`; `FlexibleModel.from_urdf` reads them. Every other byte of the file stays as it is.
+    are in an element `vjm:model`; `FlexibleModel.from_urdf` reads them. A comment above says that vjm wrote
+    the file. Every other byte stays as it is.
 
     Args:
         urdf: a file, or its text.
@@ -184,16 +187,17 @@ def flexify(
     if joint is not None:
         springs = positive("stiffness", stiffness), positive("rotor_inertia", rotor_inertia)
         document = _with_flexible_joint(document, _named(document, "joint", joint), *springs, kelvin_voigt)
-    return document.text
+    return document.generated_text
 
 
 def _check_places(places: Sequence[tuple[str, str | None, Mapping[str, object]]], kelvin_voigt: float) -> None:
     """Refuse options given without the name of their link or joint; places are its kind, its name and its options."""
     if all(name is None for _, name, _ in places):
         raise ShapeError("link, joint", "neither", "the name of a link or of a joint to make flexible")
-    if not 0 <= kelvin_voigt < math.inf:
-        raise ShapeError("kelvin_voigt", kelvin_voigt, "zero or a positive number [s]")
+    valid = is_number(kelvin_voigt) and kelvin_voigt >= 0
+    require("kelvin_voigt", kelvin_voigt, valid, "zero or a positive number [s]")
     for kind, name, options in places:
+        require_kind(kind, name, (str, NoneType), f"the name of a {kind}")
         loose = [option for option, value in options.items() if name is None and value is not None]
         if loose:
             raise ShapeError(kind, None, f"the name of the {kind} that {loose[0]} is of")
@@ -201,8 +205,7 @@ def _check_places(places: Sequence[tuple[str, str | None, Mapping[str, object]]]
 
 def _named(document: UrdfDocument, tag: str, name: str) -> Element:
     elements = {element.attributes.get("name", ""): element for element in document.robot.all(tag)}
-    if name not in elements:
-        raise ChoiceError(tag, name, elements)
+    require_choice(tag, name, elements)
     return elements[name]
 
 
@@ -271,8 +274,7 @@ def _tip(document: UrdfDocument, link: Element, child: str | None) -> Element | 
     """Return the joint at a link's far end: the only one that moves, or the only one; None where there is none."""
     children = {joint.attributes.get("name", ""): joint for joint in _children(document, link)}
     if child is not None:
-        if child not in children:
-            raise ChoiceError(f"child joint of {link.attributes['name']}", child, children or ["none"])
+        require_choice(f"child joint of {link.attributes['name']}", child, children or ["none"])
         return children[child]
     moving = {name: joint for name, joint in children.items() if joint.attributes.get("type") != "fixed"}
     candidates = moving or children
@@ -287,7 +289,7 @@ def _placed(document: UrdfDocument, link: Element, options: _LinkOptions) -> tup
     """Return where the beam starts (3,) [m], its direction (3,) and its length [m], in the link's frame."""
     axis, ends = options.axis, options.ends
     if ends is not None:
-        points = np.asarray(ends, dtype=float)
+        points = number_array("ends", ends)
         if (
             axis is not None
             or points.shape != (2, 3)
@@ -322,7 +324,7 @@ def _vector(axis: str | Sequence[float]) -> Array:
         if axis.lstrip("+-") not in _AXES:
             raise ChoiceError("axis", axis, _AXES)
         return np.array(_AXES[axis.lstrip("+-")])
-    vector = np.asarray(axis, dtype=float)
+    vector = number_array("axis", axis)
     norm = float(np.linalg.norm(vector))
     if vector.shape != (3,) or not 0 < norm < math.inf:
         raise ShapeError("axis", axis, "x, y, z or a vector of three numbers, not zero")
@@ -349,7 +351,7 @@ def _stiffness(direction: Array, options: _LinkOptions) -> tuple[tuple[_Axis, ..
                 raise ShapeError("section", None, f"a section beside {name}: {', '.join(_SECTIONS.values())}")
     if bending_stiffness is None:
         raise ShapeError("bending_stiffness", None, "EI [N m^2], or section and youngs_modulus")
-    values = np.atleast_1d(np.asarray(bending_stiffness, dtype=float))
+    values = np.atleast_1d(number_array("bending_stiffness", bending_stiffness))
     if values.size not in (1, len(across)):
         raise ShapeError("bending_stiffness", f"{values.size} values", f"one, or one for each of {len(across)} axes")
     stiffness = [positive("bending_stiffness", value) for value in np.broadcast_to(values, len(across)).tolist()]
@@ -363,6 +365,8 @@ def _across(direction: Array, bending: Sequence[str] | str | None) -> dict[str, 
     """Return the bending axes by name: unit vectors square to the link, near those of its frame."""
     nearness = {name: abs(float(direction @ vector)) for name, vector in _AXES.items()}
     names = bending.split(",") if isinstance(bending, str) else bending
+    are_names = names is None or (isinstance(names, Sequence) and all(isinstance(name, str) for name in names))
+    require("bending", bending, are_names, "axes of the link's frame, as y,z")
     chosen = sorted(sorted(_AXES, key=lambda name: nearness[name])[:2]) if names is None else [n.strip() for n in names]
     for name in chosen:
         if name not in _AXES:
@@ -387,6 +391,7 @@ def _section(text: str) -> tuple[float, tuple[float, float], float]:
     The rectangle's torsion constant is Saint-Venant's series (S. P. Timoshenko and J. N. Goodier, Theory of Elasticity,
     3rd ed. 1970, section 109).
     """
+    require_kind("section", text, str, f"one of: {', '.join(_SECTIONS.values())}")
     kind, _, numbers = text.partition(":")
     try:
         sizes = [positive("section", float(number)) for number in numbers.split(",")]
@@ -417,8 +422,8 @@ def _beam(document: UrdfDocument, link: Element, options: _LinkOptions) -> tuple
     start, direction, length = _placed(document, link, options)
     axes, line_density = _stiffness(direction, options)
     joints = options.joints
-    if joints is None or joints < 1 or int(joints) != joints:
-        raise ShapeError("joints", joints, "at least 1 virtual joint")
+    require("joints", joints, is_whole(joints, 1), "at least 1 virtual joint")
+    assert joints is not None
     children = [
         child
         for child in _children(document, link)

@@ -16,8 +16,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.errors import ChoiceError, ShapeError, printable
-from vjm.files import check_no_folder
+from vjm.errors import ShapeError, printable, require_choice
+from vjm.files import GENERATED, check_no_folder
 from vjm.model.dynamics import Mechanism
 from vjm.records import Array
 
@@ -141,6 +141,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.globals["generated"] = GENERATED
     environment.filters["literal"] = lambda text: Markup(repr(text))  # of Python; JSON's differs beyond 16 bits
     return environment
 
@@ -284,8 +285,7 @@ def simulator_path(path: Path | str, simulator: str) -> Path:
         FolderError: `path` is a folder.
         ShapeError: `path` ends as the file beside it does.
     """
-    if simulator not in SIMULATORS:
-        raise ChoiceError("simulator", simulator, SIMULATORS)
+    require_choice("simulator", simulator, SIMULATORS)
     file, suffix = check_no_folder(path), SIMULATORS[simulator]
     if file.suffix == suffix:
         raise ShapeError("path", str(file), f"a file that does not end in {suffix}, as the one beside it does")
@@ -319,8 +319,7 @@ def simulator_file(
         ShapeError: as of `chain_to_urdf`; a base under load without a spring to carry it; drives whose inertia the
             simulator has no place for.
     """
-    if simulator not in SIMULATORS:
-        raise ChoiceError("simulator", simulator, SIMULATORS)
+    require_choice("simulator", simulator, SIMULATORS)
     if chain.armature and simulator in ("gazebo", "pybullet"):
         raise ShapeError("armature", chain.armature, f"zero, for {simulator}; a hub_inertia turns with the arm")
     base, joints = _bodies_of(chain, friction or {})

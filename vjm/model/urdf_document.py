@@ -16,12 +16,14 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from vjm.errors import ModelFileError, ShapeError
+from vjm.errors import ModelFileError, ShapeError, is_number, shown
+from vjm.files import GENERATED, as_path
 from vjm.records import Array
 
 NAMESPACE = "urn:vjm:urdf"  # of the elements for which URDF has no word
 _XACRO = "xacro"
 _DECLARATION = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([\w.:-]+)[\"']")
+_PROLOGUE = re.compile(r"\ufeff?(<\?xml[^>]*>\s*)?")  # a comment may follow
 _START_TAG = re.compile(rb"<[^\"'<>]*(?:\"[^\"]*\"[^\"'<>]*|'[^']*'[^\"'<>]*)*>")
 _BOMS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
@@ -80,13 +82,15 @@ class UrdfDocument:
 
         Raises:
             ModelFileError: no such file, no XML, no URDF, or one that xacro has not expanded.
+            ShapeError: neither text nor path.
         """
         if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
             name, data = "URDF", _declared_utf8(source).encode("utf-8", "surrogatepass")
         else:
-            name = str(source)
+            file = as_path("urdf", source, "a URDF file, or its text")
+            name = str(file)
             try:
-                data = _utf8(Path(source).read_bytes())
+                data = _utf8(file.read_bytes())
             except (OSError, ValueError, LookupError) as error:
                 problem = f"cannot be read ({getattr(error, 'strerror', None) or error})"
                 raise ModelFileError(source, problem, "a URDF file") from error
@@ -118,6 +122,16 @@ class UrdfDocument:
     def text(self) -> str:
         """The whole file."""
         return self.data.decode("utf-8")
+
+    @property
+    def generated_text(self) -> str:
+        """The whole file, with a comment before its root that vjm wrote it."""
+        before, text = self.data[: self.robot.start].decode(), self.text
+        if GENERATED in before:
+            return text
+        prologue = _PROLOGUE.match(before)
+        place = prologue.end() if prologue else 0
+        return f"{text[:place]}<!-- {GENERATED} -->{self.newline}{text[place:]}"
 
     @property
     def newline(self) -> str:
@@ -267,8 +281,8 @@ def positive(name: str, value: float | None) -> float:
     Raises:
         ShapeError: it is not.
     """
-    if value is None or not 0 < value < np.inf:
-        raise ShapeError(name, "nothing" if value is None else value, "a positive number")
+    if not is_number(value) or value <= 0:
+        raise ShapeError(name, "nothing" if value is None else shown(value), "a positive number")
     return float(value)
 
 

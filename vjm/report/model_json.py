@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
-from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -20,7 +19,7 @@ from vjm.effects.effect import Effect, Parameter
 from vjm.errors import ExperimentError, ModelFileError, ShapeError, shown
 from vjm.experiment.schema import STRICT, table_model
 from vjm.experiment.spectrum import sensor_noise
-from vjm.files import json_text, plain, read_file
+from vjm.files import as_path, json_text, plain, read_file
 from vjm.records import Array, Estimate, Experiment, Link, Recording, Rig
 from vjm.report.text import place
 from vjm.simulation.model import Model
@@ -109,6 +108,7 @@ def load_model(path: Path | str) -> Model:
 
     Raises:
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
+        ShapeError: no path.
     """
     return read_model(path)[0]
 
@@ -125,12 +125,11 @@ def read_model(
 
     Raises:
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
-        ShapeError: a model of another arm than the experiment's.
+        ShapeError: no path, or a model of another arm than the experiment's.
     """
-    if not isinstance(path, str | PathLike):
-        raise ModelFileError(shown(path), "this is no path", "the path of a model.json")
+    path = as_path("path", path, "the path of a model.json")
     with _faults_of(path):
-        entry = _ModelEntry.model_validate_json(read_file(Path(path)))
+        entry = _ModelEntry.model_validate_json(read_file(path))
     rig = experiment.rig if experiment else entry.rig
     recordings = experiment.cleaned_recordings if experiment else ()
     noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)

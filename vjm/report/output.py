@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vjm.diagnosis.records import Diagnosis
-from vjm.errors import ShapeError, shown
+from vjm.errors import require_kind, require_progress
 from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison
@@ -28,6 +28,7 @@ _PICTURES = (
     *(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet")),
     *(f"{name}_{k}" for name in ("tip", "cause", "held_out") for k in range(1, 5)),
 )
+_FILES = (REPORT, "model.urdf", "model.json", "result.json", *(f"figures/{name}.png" for name in _PICTURES))
 
 
 def result_page(result: Check | Comparison | Diagnosis, pictures: Sequence[Picture] | None = None) -> Page:
@@ -37,6 +38,16 @@ def result_page(result: Check | Comparison | Diagnosis, pictures: Sequence[Pictu
     return identification_page(result, pictures)
 
 
+def check_result_folder(directory: Path | str) -> Path:
+    """Return the folder as a path if a result can be saved in it; nothing is made yet.
+
+    Raises:
+        FolderError: it cannot be written to, or a file would be lost that vjm did not write.
+        ShapeError: no path.
+    """
+    return check_folder(directory, _FILES)
+
+
 def save(
     result: Comparison | Diagnosis, directory: Path | str, command: str = "", progress: Progress | None = None
 ) -> Path:
@@ -44,7 +55,7 @@ def save(
 
     Args:
         result: of an identification, of a comparison, or of a diagnosis.
-        directory: made if need be (its parent exists). Files of an earlier result are replaced, others stay.
+        directory: made if need be (its parent exists). Files of an earlier result are replaced or removed, others stay.
         command: the command line, for the report to tell; empty where there is none.
         progress: told (text, done, total) before each picture.
 
@@ -52,12 +63,13 @@ def save(
         The folder.
 
     Raises:
-        FolderError: the folder cannot be written to.
-        ShapeError: no such result.
+        FolderError: the folder cannot be written to, or a file would be lost that vjm did not write.
+        ShapeError: no such result, no path, or another argument of the wrong kind.
     """
-    if not isinstance(result, Comparison | Diagnosis):
-        raise ShapeError("result", shown(result), "what vjm.identify, compare or diagnose returned")
-    folder = check_folder(directory)
+    require_kind("result", result, (Comparison, Diagnosis), "what vjm.identify, compare or diagnose returned")
+    require_kind("command", command, str, "the command line, a text")
+    require_progress(progress)
+    folder = check_result_folder(directory)
     if isinstance(result, Diagnosis):
         pictures, covariance = diagnosis_pictures(result), None
     else:
@@ -73,4 +85,4 @@ def save(
         "model.json": model_text(result.model, covariance),
         "result.json": json_text(result_object(result)),  # last: it describes the others
     }
-    return write_folder(folder, {**images, **texts}, [f"figures/{name}.png" for name in _PICTURES])
+    return write_folder(folder, {**images, **texts}, _FILES)

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, StateFunction
-from vjm.errors import ShapeError, SimulationDivergedError, shown
+from vjm.errors import ShapeError, SimulationDivergedError, is_number, require, shown
+from vjm.experiment.arrays import number_array
 from vjm.model.modes import linearise
 from vjm.records import Array, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
@@ -45,17 +46,10 @@ class _Feedback(Effect):
         return forces
 
 
-def _numbers(name: str, values: ArrayLike) -> Array:
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ShapeError(name, shown(values), "an array of numbers") from None
-
-
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...], unit: str) -> Array:
     """Return values as an array of a shape; a single joint's may be one number."""
     try:
-        array = _numbers(name, values).reshape(shape)
+        array = number_array(name, values).reshape(shape)
     except ValueError:
         raise ShapeError(name, shown(values), f"{shape}, finite [{unit}]") from None
     if not np.isfinite(array).all():
@@ -99,17 +93,16 @@ def simulate_motion(
         ShapeError: an argument that does not fit the arm.
         SimulationDivergedError: the motion left the finite numbers, or depends on the step however short.
     """
-    if duration is None or not 0 < duration < np.inf:
-        raise ShapeError("duration", duration, "a positive number of seconds")
-    if not 0 <= payload < np.inf:
-        raise ShapeError("payload", payload, "a mass, zero or positive [kg]")
+    require("duration", duration, is_number(duration) and duration > 0, "a positive number of seconds")
+    assert duration is not None
+    require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
     chain, count = arm.chain, arm.chain.active.size
     step = min(default_step(chain, payload), duration / 20)
     if torque is None or callable(torque):
         time = np.linspace(0.0, duration, 1 + int(np.ceil(duration / step)))
         torques = np.zeros((time.size, count))
     else:
-        samples = _numbers("torque", torque)
+        samples = number_array("torque", torque)
         if samples.ndim == 0 or samples.shape[0] < 2:
             raise ShapeError("torque", samples.shape, f"(T, {count}) at T >= 2 instants [N m]")
         time = np.linspace(0.0, duration, samples.shape[0])
@@ -142,7 +135,7 @@ def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) ->
     """Return angles and rates (nv,), (nv,) from those of all joints, or of active ones with passive ones at rest."""
     chain = arm.chain
     n, count = chain.size, chain.active.size
-    state = np.zeros((2, count)) if initial is None else _numbers("initial", initial)
+    state = np.zeros((2, count)) if initial is None else number_array("initial", initial)
     if state.shape == (2, n) and np.isfinite(state).all():
         return state[0], state[1]
     if state.shape != (2, count) or not np.isfinite(state).all():

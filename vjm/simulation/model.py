@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
-from vjm.errors import ShapeError, is_whole
+from vjm.errors import ShapeError, is_number, is_whole, require
+from vjm.experiment.arrays import number_array
 from vjm.experiment.checks import DEFAULT_NOISE
-from vjm.experiment.records import as_rig, for_rig
-from vjm.files import check_no_folder, write_text
+from vjm.experiment.records import as_rig, for_rig, require_recording
+from vjm.files import check_model_file, write_models
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
@@ -90,9 +91,9 @@ class Model(Record):
             ShapeError: a number of joints below one, or a time below zero.
         """
         rig = as_rig(rig)
-        if not is_whole(virtual_joints, 1) or not 0 <= kelvin_voigt < np.inf:
-            value = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
-            raise ShapeError("model", value, "a whole number from 1, and a time, zero or positive [s]")
+        require("virtual_joints", virtual_joints, is_whole(virtual_joints, 1), "a whole number from 1")
+        valid = is_number(kelvin_voigt) and kelvin_voigt >= 0
+        require("kelvin_voigt", kelvin_voigt, valid, "a time, zero or positive [s]")
         cuts = rig_layouts(rig, [link.virtual_joints or virtual_joints for link in rig.links])
         markers = rig.marker_noise or DEFAULT_NOISE * max(link.length for link in rig.links)
         return cls(nominal_chain(rig, cuts, kelvin_voigt), rig, markers, rig.encoder_noise or DEFAULT_NOISE)
@@ -108,6 +109,7 @@ class Model(Record):
 
     def arm_in(self, recording: Recording) -> Arm:
         """Return the arm of a recording; in a `reference` recording it has the reference effects only."""
+        require_recording(recording)
         return (self._reference if recording.condition == REFERENCE else self.arm).in_recording(recording)
 
     @on_one_thread
@@ -158,6 +160,10 @@ class Model(Record):
         From an initial state (2 nv,) near the most likely, such as a similar model's, a few steps are taken.
         """
         recording = for_rig(self.rig, recording)
+        if near is not None:
+            near = number_array("near", near)
+            size = 2 * self.chain.size
+            require("near", near, near.shape == (size,) and bool(np.isfinite(near).all()), f"({size},) finite numbers")
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
         arm = self.arm_in(recording)
         if near is None:
@@ -167,7 +173,12 @@ class Model(Record):
         return run.simulated_recording(converged)
 
     def modes(self, payload: float = 0.0) -> Modes:
-        """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
+        """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip.
+
+        Raises:
+            ShapeError: no mass.
+        """
+        require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
         return modes(self.arm.chain, payload)
 
     def pinocchio(self) -> PinocchioModel:
@@ -199,7 +210,7 @@ class Model(Record):
         Raises:
             ShapeError: q of another size.
         """
-        angles, size = np.asarray(q, dtype=float), self.arm.chain.size
+        angles, size = number_array("q", q), self.arm.chain.size
         if angles.shape != (size,):
             raise ShapeError("q", f"shape {angles.shape}", f"shape ({size},)")
         slopes = MarkerArcs.of(self.rig).jacobian(self.arm, angles[None], np.zeros(1), np.eye(size))[0]
@@ -209,10 +220,10 @@ class Model(Record):
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path.
 
         Raises:
-            FolderError: the file cannot be written.
+            FolderError: the file cannot be written, or there is one that vjm did not write.
         """
-        file = check_no_folder(path)
-        write_text(file, self.arm.urdf())
+        file = check_model_file(path)
+        write_models({file: self.arm.urdf()})
         return file
 
     def export(self, path: Path | str, simulator: str) -> tuple[Path, Path]:
@@ -223,14 +234,13 @@ class Model(Record):
 
         Raises:
             ChoiceError: another simulator.
-            FolderError: a file cannot be written.
+            FolderError: a file cannot be written, or there is one that vjm did not write.
             ShapeError: as of `simulator_path` and `chain_to_urdf`; a base under load without a spring; drives whose
                 inertia the simulator has no place for.
         """
         simulator_file = simulator_path(path, simulator)
         file = Path(path)
         markers = [link.markers for link in self.rig.links]
-        text = self.arm.simulator_file(simulator, file.name, markers)
-        self.to_urdf(file)
-        write_text(simulator_file, text)
+        beside = self.arm.simulator_file(simulator, file.name, markers)
+        write_models({file: self.arm.urdf(), simulator_file: beside})
         return file, simulator_file

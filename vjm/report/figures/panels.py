@@ -92,7 +92,7 @@ class Picture:
         """The PNG file, the same bytes for the same figure."""
         stream = io.BytesIO()
         with _style():
-            self.figure.savefig(stream, format="png", metadata={"Software": None})
+            self.figure.savefig(stream, format="png", metadata={"Software": "vjm"})
         return stream.getvalue()
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import detrend
 
-from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.errors import InsufficientDataError, require, require_choice
 from vjm.records import REFERENCE, Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording, Simulation
 from vjm.report.figures.panels import LINES, Color, PanelFigure
 from vjm.report.text import recording_label
@@ -264,8 +264,8 @@ def plot_recordings(
     """
     name = recording.file if isinstance(recording, Recording) else recording
     files = [comparison.recording.file for comparison in comparisons]
-    if name is not None and name not in files:
-        raise ChoiceError("recording", name, files)
+    require_choice("recording", name, (None, *files) if name is None else files)
+    require("ax", ax, ax is None or isinstance(ax, Axes), "matplotlib axes, or None")
     asked = [comparison for comparison in comparisons if name in (None, comparison.recording.file)]
     chosen = [
         (comparison, signal)
