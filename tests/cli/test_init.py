@@ -191,7 +191,6 @@ def test_a_torque_without_an_angle_belongs_to_a_joint(tmp_path: Path, capsys: py
     ("change", "options", "message"),
     [
         (lambda text: text, ["--joint", "revolute"], "column 'beam.theta': the column is missing"),
-        (lambda text: text.replace("t,", "moment,", 1), [], "column 't': the column is missing"),
         (lambda text: text.replace("beam.m1.x", "t", 1), [], "column 't': the column occurs twice"),
         (lambda text: text.replace("beam.m1.x", "beam.m1.y", 1), [], "column 'beam.m1.y': the column occurs twice"),
         (lambda text: text.replace("0.2,", "much,", 1), [], "'much' is not a number"),
@@ -210,6 +209,26 @@ def test_columns_that_the_check_would_refuse_are_refused_before_anything_is_writ
     assert f"{folder}/" in err
     assert message in err
     assert not (folder / "experiment.toml").exists()
+
+
+@pytest.mark.parametrize(("joint", "missing"), [("clamped", ["t"]), ("revolute", ["t", "beam.theta"])])
+def test_columns_that_may_be_those_that_are_needed_are_left_open(
+    folder: Path, capsys: pytest.CaptureFixture[str], joint: str, missing: list[str]
+) -> None:
+    renamed = {"t": "Moment", "beam.m5.y": "Winkel"}
+    for file in folder.glob("*.csv"):
+        pd.read_csv(file).drop(columns="beam.m5.x").rename(columns=renamed).to_csv(file, index=False)
+    status, out, err = run(capsys, "init", folder, *RIG, "--joint", joint)
+    assert status == 2
+    assert f"Fill in {', '.join(missing)}, and correct" in out
+    assert err.endswith("[columns], key 't': got '?'; expected the name of a column, a string\n")
+    file = folder / "experiment.toml"
+    text = file.read_text()
+    assert tomllib.loads(text)["columns"] == dict.fromkeys(missing, "?")
+    for header in renamed.values():
+        text = text.replace('"?"', f'"{header}"', 1)
+    file.write_text(text)
+    assert load_experiment(file).recordings
 
 
 def test_the_joint_that_is_given_is_the_first_links(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -41,6 +41,8 @@ from vjm.files import as_path, check_file, read_file
 from vjm.text import counted
 
 _SEPARATORS = ",;\t"
+# Stands in a proposed file for what has to be filled in: as no key takes it, reading the file names it.
+UNKNOWN = "?"
 _TEXT = "a CSV text file in UTF-8"
 _SECTIONS: dict[str, Any] = {
     "base": table_model(Rig, ("gravity",), ("gravity",)),
@@ -156,7 +158,7 @@ def _renamed_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera
         if prefix not in known:
             problem = f"unknown column{suggestion(prefix, known)}"
             raise ExperimentError(file, "columns", prefix, problem, f"only the names {', '.join(known)}")
-        if not isinstance(value, str) or not value.strip():
+        if not isinstance(value, str) or value.strip() in {"", UNKNOWN}:
             raise ExperimentError(file, "columns", prefix, f"got {shown(value)}", "the name of a column, a string")
         existing = next((standard for standard, header in columns.items() if header == value.strip()), None)
         if existing is not None:

@@ -18,10 +18,7 @@ from jinja2 import Environment, StrictUndefined
 from vjm.errors import RecordingError, printable
 from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS, Array
-from vjm.experiment.load import described, parse_document, read_numbers, read_tables
-
-# Stands where a number has to be filled in: no key takes a text there, so that reading the file names it.
-_UNKNOWN = "?"
+from vjm.experiment.load import UNKNOWN, described, parse_document, read_numbers, read_tables
 
 # A steel ruler: with the width, thickness or modulus of any other arm, its own give a bending stiffness in bounds.
 _RULER = {
@@ -197,7 +194,19 @@ class ExperimentProposal:
         names = {name: header_name for name, header_name in pairs if name and name not in {header_name, *self._surplus}}
         surplus = any(name is None or name in self._surplus for name, _ in pairs)
         unused = any(name[-1] not in self.axes for file, _ in self.files for name in file.ending(".x", ".y", ".z"))
+        names |= dict.fromkeys(self._unrecognized, UNKNOWN)
         return names or ({"t": "t"} if surplus or (unused and self.axes == ("x", "y")) else {})
+
+    @cached_property
+    def _unrecognized(self) -> list[str]:
+        """Columns that a recording needs and that none of its names looks like, though some look like nothing else."""
+        angles = [f"{link}.theta" for link in self.links if self.joint(link)[0] == "revolute"]
+        found = []
+        for sources in ([source for source in pair if source is not None] for pair in self.files):
+            if any(header_name not in source.names for source in sources for header_name in source.header):
+                found += ["t"] if any(source.column("t") is None for source in sources) else []
+                found += [name for name in angles if all(source.column(name) is None for source in sources)]
+        return found
 
     def arcs(self, link: str) -> tuple[float, ...] | None:
         """Return the median distances of a first link's markers from the camera's origin [m]; None if no arc lengths.
@@ -245,28 +254,32 @@ class ExperimentProposal:
     def missing(self) -> list[str]:
         """Keys that have to be filled in by hand."""
         lines = [line.partition("#")[0].partition("=") for line in self.text().splitlines()]
-        return [key.strip() for key, _, value in lines if f'"{_UNKNOWN}"' in value]
+        return [key.strip(' "') for key, _, value in lines if f'"{UNKNOWN}"' in value]
 
     def text(self) -> str:
         """Return the experiment file."""
         environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
         environment.filters["toml"] = lambda value: printable(json.dumps(value, ensure_ascii=False))
         template = resources.files("vjm.experiment").joinpath("experiment.toml.jinja").read_text(encoding="utf-8")
-        return environment.from_string(template).render(proposal=self, given=self.given, unknown=_UNKNOWN)
+        return environment.from_string(template).render(proposal=self, given=self.given, unknown=UNKNOWN)
 
     def check(self, file: Path) -> None:
         """Refuse what the experiment file would be refused for, but for what has to be filled in.
 
-        Of the recordings columns and cells are looked at, not whether their numbers make sense.
+        Of the recordings columns and cells are looked at, if all columns are recognized, not whether their numbers make
+        sense.
 
         Raises:
             ExperimentError, RecordingError: as `load_experiment` does.
         """
         document = parse_document(file, self.text().encode())
         document["link"] = [_filled_in(link) for link in document["link"]]
+        columns = document.get("columns", {}).items()
+        document["columns"] = {name: header_name for name, header_name in columns if header_name != UNKNOWN}
         rig, conventions, files = described(file, document)
-        for sources, table in zip(files, document["recording"], strict=True):
-            read_tables(sources, table, rig, conventions, {})
+        if not self._unrecognized:
+            for sources, table in zip(files, document["recording"], strict=True):
+                read_tables(sources, table, rig, conventions, {})
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -276,11 +289,11 @@ def _relative(path: Path, folder: Path) -> str:
 
 def _filled_in(link: Mapping[str, Any]) -> dict[str, Any]:
     """Return a link's table with numbers that contradict no other in place of those that have to be filled in."""
-    table: dict[str, Any] = {key: _RULER[key] if value == _UNKNOWN else value for key, value in link.items()}
+    table: dict[str, Any] = {key: _RULER[key] if value == UNKNOWN else value for key, value in link.items()}
     count = len(table["markers"])
-    if _UNKNOWN in table["markers"]:
+    if UNKNOWN in table["markers"]:
         table["markers"] = [table["length"] * k / count for k in range(1, count + 1)]
-    elif link["length"] == _UNKNOWN:
+    elif link["length"] == UNKNOWN:
         table["length"] = table["markers"][-1]
     return table
 
