@@ -226,7 +226,7 @@ def test_columns_that_may_be_those_that_are_needed_are_left_open(
     text = file.read_text()
     assert tomllib.loads(text)["columns"] == dict.fromkeys(missing, "?")
     for header in renamed.values():
-        text = text.replace('"?"', f'"{header}"', 1)
+        text = text.replace('= "?"', f'= "{header}"', 1)
     file.write_text(text)
     assert load_experiment(file).recordings
 
