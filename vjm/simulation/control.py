@@ -93,8 +93,8 @@ def simulate_motion(
         ShapeError: an argument that does not fit the arm.
         SimulationDivergedError: the motion left the finite numbers, or depends on the step however short.
     """
-    require("duration", duration, is_number(duration) and duration > 0, "a positive number of seconds")
-    assert duration is not None
+    if not (is_number(duration) and duration > 0):
+        raise ShapeError("duration", shown(duration), "a positive number of seconds")
     require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
     chain, count = arm.chain, arm.chain.active.size
     step = min(default_step(chain, payload), duration / 20)
