@@ -61,9 +61,10 @@ class Scripted(ValleySearch):
 
     def __init__(self, length: Callable[[float], float], damping: float = 0.0) -> None:
         super().__init__(Valley(np.zeros(2)))
-        self.length, self.damping = length, damping
+        self.length, self.damping, self.steps = length, damping, 0
 
     def step_at(self, damping: float) -> Change:
+        self.steps += 1
         return Change(1.0, self.length(damping), np.zeros(2))
 
 
@@ -107,6 +108,7 @@ def test_the_next_step_is_clearly_shorter(knee: float, first: float) -> None:
         assert length(search.damping) < 0.5 * length(begun)
         # And not a hundred times shorter: it need not be.
         assert length(search.damping) > 0.05 * length(begun)
+        assert begun or search.steps <= 1 + 5  # of 27 dampings from zero: each takes the least squares of all runs
 
 
 def test_a_search_stops_where_no_damping_shortens_its_step() -> None:

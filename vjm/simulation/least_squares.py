@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from math import ceil, log
 from typing import Generic, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 
 from vjm.records import Array, Mask
 
+_MOST_DAMPING = 1e6  # a step is then a millionth of a Gauss-Newton step
 _LEAST_DAMPING = 1e-10  # smaller eigenvalues of the scaled J^T J are rounding errors of forward differences
 
 
@@ -179,11 +182,20 @@ class LevenbergMarquardt(ABC, Generic[P, S]):
 
     def _shorten_step(self) -> None:
         """Increase the damping until the next step is half as long as the rejected one; stop where none does that."""
-        while (damping := max(4 * self.damping, _LEAST_DAMPING)) < 1e6:  # a millionth of a Gauss-Newton step
-            self.damping = damping
-            if self.step_at(damping).length < self.step.length / 2:
-                return
-        self.status = "stopped"
+        first = max(4 * self.damping, _LEAST_DAMPING)
+        dampings = [first * 4.0**k for k in range(ceil(log(_MOST_DAMPING / first, 4)))]
+
+        def is_short(damping: float) -> bool:
+            return self.step_at(damping).length < self.step.length / 2
+
+        if self.damping:  # one of the next
+            found = next((k for k, damping in enumerate(dampings) if is_short(damping)), len(dampings))
+        else:  # one of many; the length falls as the damping grows
+            found = bisect_left(dampings, True, key=is_short)
+        if found == len(dampings):
+            self.status = "stopped"
+        else:
+            self.damping = dampings[found]
 
 
 def minimise(
