@@ -35,6 +35,7 @@ from vjm.effects import (
     CubicStiffness,
     Effect,
     GearElasticity,
+    InPlaneGravity,
     JointSpring,
     Stribeck,
     TipPayload,
@@ -464,6 +465,26 @@ def test_friction_is_followed_over_whole_recordings_unless_segments_lose_it(
     best = search.run().best
     assert [effect.id for effect in best.effects] == ["coulomb_friction"]
     assert (len(best.point.runs) > 2) == lost
+
+
+@pytest.mark.parametrize("gy", [0.4, 30.0])
+def test_one_of_two_sizes_may_be_at_its_bound_on_the_way_but_not_in_the_end(
+    gy: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gravity along a clamped link, which hardly shows, stands in for what later effects explain."""
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)))
+    gravity = InPlaneGravity(gx=-30.0, gy=gy)
+    fit = SimpleNamespace(new_effects=(gravity,), effects=(gravity,), chi2=0.9 * start.chi2)
+    monkeypatch.setattr(selection, "refit", lambda *_, **__: fit)
+    found = selection._refit_within_bounds(start, selection.SearchOptions(), np.inf, [gravity])
+    assert found is (None if gy == 30.0 else fit)
+    for name in ("is_determined", "predicts_better"):
+        monkeypatch.setattr(selection, name, lambda *_: True)
+    search = selection.Search(RIG, start, [], selection.SearchOptions(), lambda text: None)
+    monkeypatch.setattr(search, "refit_without", lambda *_: start)
+    for sizes, kept in (({"gx": -30.0}, False), ({"gx": 3.0, "gy": 0.4}, True)):
+        ended = SimpleNamespace(new_effects=(replace(gravity, **sizes),))
+        assert search._justified(ended, {}) is (ended if kept else start)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

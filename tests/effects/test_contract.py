@@ -37,13 +37,15 @@ def test_coordinate_one_is_a_typical_magnitude(effect: Effect) -> None:
 @every_present
 def test_a_size_at_its_bound_is_told(effect: Effect) -> None:
     present = typical_magnitude(effect)
-    assert not present.at_bound
+    assert not any(present.at_bounds)
     for parameter in present.parameters:
         if parameter.shape_parameter or parameter.integer:
             continue
         for value in (parameter.lower, parameter.upper):
             if np.isfinite(value) and value != parameter.null:
-                assert replace(present, **{parameter.name: value}).at_bound
+                moved = replace(present, **{parameter.name: value})
+                sizes = [other.name for other in present.parameters if not (other.shape_parameter or other.integer)]
+                assert moved.at_bounds == tuple(name == parameter.name for name in sizes)
 
 
 POWERS = {  # of length, mass and time

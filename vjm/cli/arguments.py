@@ -101,8 +101,8 @@ def _add_diagnose(add: Callable[..., argparse.ArgumentParser]) -> None:
         diagnose.add_argument(option, metavar=metavar, type=_at_least(minimum), default=default, help=text)
     text = (
         "time after which the search ends with the best model so far and lists what was not tried (default: 120 s for "
-        "two processes and up to 35 s of training recordings or 3,500 frames, longer for more, up to 240 s, as for any "
-        "arm with an elbow; twice as long for one process)"
+        "two processes and up to 40 periods of the slowest vibration or 3,500 frames in the training recordings, "
+        "longer for more, up to 240 s, as for any arm with an elbow; twice as long for one process)"
     )
     diagnose.add_argument("--budget", metavar="SECONDS", type=_positive, default=None, help=text)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import information_of, starting_effect
+from vjm.diagnosis.candidate_fit import information_of, predicted_increase, starting_effect
 from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
@@ -130,21 +130,33 @@ def estimate_causes(
     for effect, estimate, part in [*zip(best.effects, estimated, best.point.problem.parts, strict=True)][
         best.point.problem.reference_effects :
     ]:
-        names = best.effect_keys - {effect.key}
-        reduced = result.fits.get(names) or search.refit_without(best, effect, result.fits) or search.start
-        shorter = result.segment_fits.get(names)
-        # A refit that ran out of time has not lost yet what it can lose. Shorter segments leave less than longer ones.
-        if not reduced.converged and shorter is not None and shorter.chi2 < reduced.chi2:
-            reduced = shorter
-        decrease = reduced.chi2 - best.chi2
+        reduced = _model_without(effect, result, search)
+        decrease = predicted_increase(best, effect) if reduced is None else reduced.chi2 - best.chi2
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / inflation)
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
-        unit = "noise" if reference_misfit == 1 else "the residual before the change"
-        before, after = ratio(reduced.misfit), ratio(best.misfit)
-        evidence = f"training residual falls from {before} to {after} × {unit}, chi² by {number(decrease)}"
+        if reduced is None:
+            evidence = f"not fitted without it, out of time: chi² would rise by {number(decrease)} in a linear model"
+        else:
+            unit = "noise" if reference_misfit == 1 else "the residual before the change"
+            before, after = ratio(reduced.misfit), ratio(best.misfit)
+            evidence = f"training residual falls from {before} to {after} × {unit}, chi² by {number(decrease)}"
         parameters = _with_errors(estimate, covariance[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
     return tuple(causes)
+
+
+def _model_without(effect: Effect, result: SearchResult, search: Search) -> TrajectoryFit | None:
+    """Return the best model fitted without one of its effects; None where there was no time for it."""
+    best = result.best
+    names = best.effect_keys - {effect.key}
+    reduced = result.fits.get(names) or search.refit_without(best, effect, result.fits)
+    if reduced is None and names == search.start.effect_keys:
+        reduced = search.start
+    shorter = result.segment_fits.get(names)
+    # A refit that ran out of time has not lost yet what it can lose. Shorter segments leave less than longer ones.
+    if reduced is not None and not reduced.converged and shorter is not None and shorter.chi2 < reduced.chi2:
+        return shorter
+    return reduced
 
 
 def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:

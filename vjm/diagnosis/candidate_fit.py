@@ -288,14 +288,14 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
         max_chi2, problem = stop.max_chi2, replace(problem, simulated_held=False)
-        if not nonsmooth and fit.chi2 > stop.max_chi2:
-            return fit
+        if (not nonsmooth and fit.chi2 > stop.max_chi2) or monotonic() > stop.deadline:
+            return replace(fit, point=replace(fit.point, problem=problem))
         # The last multistart was at nearly the same coordinates where the steps since then have hardly gained.
         repeated = nonsmooth and before - fit.chi2 < _stall_decrease(fit.point)
         point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=repeated))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         hopeless = stays_above(point, gained, stop.max_chi2)  # as each round of steps and multistart gains less
-        if gained < _stall_decrease(point) or hopeless or monotonic() > stop.deadline:
+        if gained < _stall_decrease(point) or hopeless:
             return replace(fit, point=replace(point, problem=problem))
         before, x, states = point.chi2, point.x, point.states
 

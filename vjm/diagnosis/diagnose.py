@@ -38,6 +38,7 @@ from vjm.experiment.records import require_experiment
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE, VISIBLE_SHARE, Experiment, Progress, RecordingComparison, Stages
+from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.model import Model
 from vjm.simulation.run import all_followed
 from vjm.text import number
@@ -64,8 +65,9 @@ def diagnose(
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
         seed: of all random numbers.
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
-            infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings or 3,500
-            frames, in proportion more for more, up to 240 s, as for any arm with an elbow; twice that for one process.
+            infinite: as long as it needs. None: 120 s for two processes and up to 40 periods of the slowest vibration
+            or 3,500 frames in the training recordings, in proportion more for more, up to 240 s, as for any arm with an
+            elbow; twice that for one process.
         progress: called with (text, done, total) while it runs.
 
     Returns:
@@ -146,14 +148,17 @@ def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFi
 def _default_budget(experiment: Experiment, jobs: int) -> float:
     """Return the time [s] that a diagnosis may take unless another is given."""
     train = experiment.with_role("train")
-    recorded = sum(float(np.ptp(recording.time)) for recording in train)
+    chain = Model.nominal(experiment.rig).chain
+    periods = sum(
+        locked_joint_frequencies(chain, recording.payload)[0] * float(np.ptp(recording.time)) for recording in train
+    )
     frames = sum(recording.frames.size for recording in train)
-    # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings at 100 frames/s.
-    # What is simulated grows with both: a fast camera sees fast modes, which take short steps. With an elbow steps are
-    # several times shorter (`default_step`). With two processes an answer takes five minutes at most, with what starts
-    # and ends it, and six with an elbow.
+    # A policy: 240 s of processor time, shared by two processes at most, for what a link of 1.2 Hz swings in seven
+    # recordings of 5 s at 100 frames/s. Steps of simulations grow with the periods, and values to be fitted with the
+    # frames. With an elbow steps are several times shorter (`default_step`). With two processes an answer takes five
+    # minutes at most, with what starts and ends it, and six with an elbow.
     longer = 2.0 if experiment.rig.has_elbow else 1.0
-    return 240.0 / min(jobs, 2) * min(max(longer, recorded / 35.0, frames / 3500.0), 2.0)
+    return 240.0 / min(jobs, 2) * min(max(longer, periods / 40.0, frames / 3500.0), 2.0)
 
 
 def _findings(

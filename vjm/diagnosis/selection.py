@@ -215,7 +215,7 @@ class Search:
         return best, fits, family or self.screen(best)
 
     def _justified(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
-        """Drop effects that fail Wald's test or cross-validation, those that explain least first.
+        """Drop effects with a size at its bound, or that fail Wald's test or cross-validation; small ones first.
 
         The score and likelihood-ratio tests assume that only noise is left otherwise: an effect that stands in for
         another one, not among the candidates, passes them, but not these two.
@@ -224,7 +224,8 @@ class Search:
             reduced = self.refit_without(fit, effect, fits)
             if reduced is None:
                 continue
-            if not (is_determined(fit, effect, self.options.alpha) and predicts_better(fit, reduced)):
+            determined = is_determined(fit, effect, self.options.alpha) and not any(effect.at_bounds)
+            if not (determined and predicts_better(fit, reduced)):
                 self.unjustified.append(effect.id)
                 return self._justified(reduced, fits)
         return fit
@@ -572,7 +573,10 @@ class Search:
 def _refit_within_bounds(
     start: TrajectoryFit, options: SearchOptions, max_chi2: float, effects: Sequence[Effect]
 ) -> TrajectoryFit | None:
-    """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bound.
+    """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bounds.
+
+    One of several sizes may be there, such as gravity along a clamped link, which its motion hardly shows: it stands in
+    for what further effects explain, and the others are estimates.
 
     A model with stick-slip or play as well that fits no better than the one without was thrown off by its first step,
     which was to correct initial states that suit a motion without them: the states are then estimated first.
@@ -584,7 +588,7 @@ def _refit_within_bounds(
     if worse and nested and any(added.values()) and max_chi2 > start.chi2 and not options.exhausted:
         retried = refit(start, effects, options.stop(max_chi2), states_first=True)
         fit = min(filter(None, (fit, retried)), key=lambda fit: fit.chi2, default=None)
-    return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
+    return None if fit is None or any(all(effect.at_bounds) for effect in fit.new_effects) else fit
 
 
 def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:

@@ -215,14 +215,16 @@ class Effect:
         return all(getattr(self, p.name) == p.null for p in self.parameters if not p.shape_parameter)
 
     @property
-    def at_bound(self) -> bool:
-        """True if a magnitude is at a bound: it is then no estimate, and stands in for something else."""
+    def at_bounds(self) -> tuple[bool, ...]:
+        """For each magnitude, whether it is at a bound: it is then no estimate, and stands in for something else."""
         magnitudes = [p for p in self.parameters if not p.shape_parameter and not p.integer]
-        return any(
-            np.isclose(parameter.coordinate(getattr(self, parameter.name)), bound, rtol=1e-6, atol=0.0)
+        return tuple(
+            any(
+                np.isclose(parameter.coordinate(getattr(self, parameter.name)), bound, rtol=1e-6, atol=0.0)
+                for bound in parameter.bounds
+                if np.isfinite(bound) and bound != 0.0  # which is the null
+            )
             for parameter in magnitudes
-            for bound in parameter.bounds
-            if np.isfinite(bound) and bound != 0.0  # which is the null
         )
 
     @property
