@@ -160,12 +160,11 @@ class Model(Record):
         From an initial state (2 nv,) near the most likely, such as a similar model's, a few steps are taken.
         """
         recording = for_rig(self.rig, recording)
-        if near is not None:
-            near = number_array("near", near)
-            size = 2 * self.chain.size
-            require("near", near, near.shape == (size,) and bool(np.isfinite(near).all()), f"({size},) finite numbers")
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
         arm = self.arm_in(recording)
+        if near is not None:
+            near, size = number_array("near", near), 2 * arm.chain.size
+            require("near", near, near.shape == (size,) and bool(np.isfinite(near).all()), f"({size},) finite numbers")
         if near is None:
             ((run, converged),) = fit_initial_states([arm], [observed])
         else:
