@@ -128,6 +128,22 @@ def test_a_refit_out_of_time_is_no_measure_of_what_is_missed() -> None:
         assert cause.decrease == missed
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_cause_that_was_not_fitted_without_does_not_claim_what_others_explain(
+    alone: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    payload, offset = TipPayload(link=0, mass=0.01), EncoderOffset(link=0, column=0, offset=0.01)
+    best = model((payload,) if alone else (payload, offset), 1000.0)
+    family = SimpleNamespace(p_of_fit=lambda effect, decrease: 1e-9)
+    start = model((), 50_000.0)
+    search = SimpleNamespace(start=start, refit_without=lambda *_: None)
+    result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
+    monkeypatch.setattr(alternatives, "predicted_increase", lambda fit, effect: 70.0 if effect is payload else 30.0)
+    causes = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3))
+    assert [cause.decrease for cause in causes] == ([49_000.0] if alone else [70.0, 30.0])
+    assert all(cause.evidence.startswith("not fitted without it, out of time") != alone for cause in causes)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_models_are_equivalent_further_apart_where_something_else_is_missing(seed: int) -> None:
     """What is left lasts: there are far fewer independent looks at it than values."""

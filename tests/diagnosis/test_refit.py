@@ -467,6 +467,22 @@ def test_friction_is_followed_over_whole_recordings_unless_segments_lose_it(
     assert (len(best.point.runs) > 2) == lost
 
 
+@pytest.mark.parametrize("effects", [(), (CoulombFriction(link=0, torque=0.008),)], ids=["smooth", "sticking"])
+@pytest.mark.parametrize("deadline", [-np.inf, np.inf])
+def test_no_multistart_begins_after_the_deadline(
+    deadline: float, effects: tuple[Effect, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point = point_of(chain_of(), effects, recorded(Arm.of(chain_of(), effects), 1, duration=0.5))
+    begun = []
+    multistart = candidate_fit._multistart
+    monkeypatch.setattr(
+        candidate_fit, "_multistart", lambda *args, **options: begun.append(1) or multistart(*args, **options)
+    )
+    fit = candidate_fit._fit_multistart(point.problem, point.x, point.states, StoppingRule(deadline=deadline))
+    assert bool(begun) == (deadline > 0)
+    assert not fit.point.problem.simulated_held
+
+
 @pytest.mark.parametrize("gy", [0.4, 30.0])
 def test_one_of_two_sizes_may_be_at_its_bound_on_the_way_but_not_in_the_end(
     gy: float, monkeypatch: pytest.MonkeyPatch

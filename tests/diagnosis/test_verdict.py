@@ -185,7 +185,10 @@ def test_the_usual_budget_grows_with_periods_and_frames(
         experiment = SimpleNamespace(with_role=lambda role: [recording] * 5, rig=Rig("arm", links))
         return {jobs: _default_budget(experiment, jobs) for jobs in (1, 2, 8)}  # type: ignore[arg-type]
 
-    assert budgets(link) == pytest.approx({1: one, 2: two, 8: two}, rel=2e-3)
+    usual = budgets(link)
+    assert usual == pytest.approx({1: one, 2: two, 8: two}, rel=2e-3)
+    longer = budgets(link, replace(link, name="tip", joint="clamped", hub_inertia=0.0))  # slower, and without an elbow
+    assert all(longer[jobs] <= usual[jobs] for jobs in usual)
     assert budgets(link, replace(link, name="elbow")) == pytest.approx({1: 480.0, 2: 240.0, 8: 240.0})
 
 

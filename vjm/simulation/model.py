@@ -158,6 +158,9 @@ class Model(Record):
         """Simulate a recording as `simulate` does, and keep it with its residuals.
 
         From an initial state (2 nv,) near the most likely, such as a similar model's, a few steps are taken.
+
+        Raises:
+            InsufficientDataError, RecordingError, ShapeError, SimulationDivergedError: as of `simulate`.
         """
         recording = for_rig(self.rig, recording)
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))

@@ -14,7 +14,7 @@ from vjm.records import Array, Indices, Mask, Recording, Rig
 # Logarithms of how many times likelier the data are with the mistake than without: a mistake is certain where the data
 # alone would fool us once in a million experiments, as in vjm.experiment.spectrum, and likely at once in a thousand.
 CERTAIN, LIKELY = float(np.log(1e6)), float(np.log(1e3))
-WRONG = float(np.log(100.0))  # cost in log-likelihood of a number: one in a hundred is in the wrong unit
+MISTAKE_COST = float(np.log(100.0))  # cost in log-likelihood of supposing it: one number in a hundred has one
 GRAM = 1e-3  # kg
 EARTH = 9.81  # m/s^2, its gravity
 

@@ -24,7 +24,7 @@ from vjm.identification.mistakes.evidence import (
     EARTH,
     GRAM,
     LIKELY,
-    WRONG,
+    MISTAKE_COST,
     Mistake,
     gravity_key,
     payload_remedy,
@@ -153,7 +153,7 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
             key: float(np.prod([getattr(hypothesis, key) for hypothesis in assumed]))
             for key in ("width", "thickness", "modulus", "stiffness", "mass", "payload", "carried", "time")
         }
-        fit = -WRONG * len(assumed)
+        fit = -MISTAKE_COST * len(assumed)
         fit += _material(link, factors) + _normal(rate / factors["time"], *_RATE)
         payloads = link.payload * factors["payload"], carried * factors["carried"]
         fit += sum(_normal(payload / (link.mass * factors["mass"]), *_PAYLOAD) for payload in payloads if payload)
@@ -207,7 +207,7 @@ def _payload_mistakes(experiment: Experiment, shown: _Frequencies, nominal: Arra
             min(loss + _loss(np.log(ratio / each), _RATIO) for loss, ratio in zip(reference, ratios, strict=True))
             for each in expected
         )
-        gain = as_given - in_grams - WRONG
+        gain = as_given - in_grams - MISTAKE_COST
         if gain > LIKELY and in_grams - reference.min() < _SURPRISING:
             text = (
                 f"it shows {frequencies[0]:.3g} Hz beside the {shown.measured:.3g} Hz of {shown.recording.file}, far "

@@ -20,7 +20,7 @@ from vjm.identification.mistakes.evidence import (
     EARTH,
     GRAM,
     LIKELY,
-    WRONG,
+    MISTAKE_COST,
     Mistake,
     angle_at,
     gravity_key,
@@ -228,7 +228,7 @@ def torque_gains(experiment: Experiment, recordings: list[list[_Balance]]) -> di
     for recording in _informative(recordings):
         gains += np.max(_payload_gains(link, recording, scales), axis=0)
         if recording[0].kind == "driven" and recording[0].silent:  # it falls only if its kind is wrong as well
-            gains -= WRONG * np.array([scale.falls for scale in scales])
+            gains -= MISTAKE_COST * np.array([scale.falls for scale in scales])
     # Two components were fitted to so many windows: G. Schwarz, Estimating the dimension of a model, Ann. Stat., 1978.
     windows = sum(recording[0].independent for recording in _informative(recordings))
     gains -= np.log(max(windows, 1.0)) * np.array([scale.undeclared != 0.0 for scale in scales])
@@ -251,7 +251,7 @@ def _payload_gains(link: Link, recording: list[_Balance], scales: list[_Scales])
     """Return log-likelihoods (2, f) of hypotheses over that of the first, with the recording's payload in kg or g."""
     in_grams = [scale._replace(carried=scale.carried * GRAM) for scale in scales]
     gains = _gains(link, recording, [*scales, *in_grams]).reshape(2, -1)
-    gains[1] = gains[1] - WRONG if recording[0].payload else -np.inf
+    gains[1] = gains[1] - MISTAKE_COST if recording[0].payload else -np.inf
     return gains
 
 
