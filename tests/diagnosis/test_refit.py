@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -436,6 +437,29 @@ def test_after_the_deadline_a_cause_is_not_kept_that_a_known_fit_does_without(kn
     assert kept is (right if known else both)
     assert search.unjustified == (["joint_spring"] if known else [])
     assert len(fits) == 1 + known
+    assert search.stopped
+
+
+def test_a_search_keeps_the_time_that_its_last_tests_of_candidates_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), ()), 1)))
+    now, taken = 1000.0, iter([30.0, 20.0, 40.0])
+    monkeypatch.setattr(selection, "monotonic", lambda: now)
+    screened = selection.Screen.of
+
+    def slow(*arguments: Any) -> selection.Screen:
+        nonlocal now
+        now += next(taken)
+        return screened(*arguments)
+
+    monkeypatch.setattr(selection.Screen, "of", slow)
+    search = selection.Search(RIG, start, [JointSpring()], selection.SearchOptions(deadline=1100.0), lambda text: None)
+    left = []
+    for _ in range(3):
+        search.screen(start)
+        left.append(search.options.deadline)
+    assert left == [1070.0, 1070.0, 1060.0]
+    assert search.out_of_time
+    assert search.stopped
 
 
 @pytest.mark.parametrize("effect", [TipPayload(mass=0.01), Backlash(gap=0.01)])
@@ -492,7 +516,7 @@ def test_one_of_two_sizes_may_be_at_its_bound_on_the_way_but_not_in_the_end(
     gravity = InPlaneGravity(gx=-30.0, gy=gy)
     fit = SimpleNamespace(new_effects=(gravity,), effects=(gravity,), chi2=0.9 * start.chi2)
     monkeypatch.setattr(selection, "refit", lambda *_, **__: fit)
-    found = selection._refit_within_bounds(start, selection.SearchOptions(), np.inf, [gravity])
+    found = candidate_fit.refit_within_bounds(start, np.inf, np.inf, [gravity])
     assert found is (None if gy == 30.0 else fit)
     for name in ("is_determined", "predicts_better"):
         monkeypatch.setattr(selection, name, lambda *_: True)
@@ -508,7 +532,7 @@ def test_friction_whose_fit_comes_out_worse_than_none_is_fitted_from_better_stat
     """Its first step corrects initial states that suit a motion without it, and leads astray."""
     truth = Stribeck(link=0, torque=0.012, speed=0.03)
     start = in_segments(recorded(Arm.of(chain_of(), (truth,)), 1))
-    fit = selection._refit_within_bounds(start, selection.SearchOptions(), np.inf, [truth])
+    fit = candidate_fit.refit_within_bounds(start, np.inf, np.inf, [truth])
     assert fit is not None
     assert fit.misfit == pytest.approx(1.0, abs=0.03)
 
@@ -530,7 +554,7 @@ def test_friction_is_not_fitted_again_where_nothing_is_to_be_had(
         return fits[-1]
 
     monkeypatch.setattr(selection, "refit", refitted)
-    fit = selection._refit_within_bounds(start, selection.SearchOptions(), max_chi2 * start.chi2, [truth])
+    fit = candidate_fit.refit_within_bounds(start, np.inf, max_chi2 * start.chi2, [truth])
     assert [fit] == fits
 
 

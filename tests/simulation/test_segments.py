@@ -25,7 +25,7 @@ from vjm.effects import (
     ViscoelasticCreep,
 )
 from vjm.simulation.arm import Arm
-from vjm.simulation.measurement import Observations, PrecedingMotion
+from vjm.simulation.measurement import Observations, PrecedingMotions
 from vjm.simulation.run import Run, linearize, linearize_by_states, simulate_runs
 from vjm.simulation.system import torque_at
 from vjm.simulation.variational_equations import PerturbedArm
@@ -111,7 +111,7 @@ def test_segments_are_linearised_together_as_each_alone(beside: tuple[Effect, ..
     moved = [PerturbedArm(Arm.of(chain_of(), (*beside, effect)), 0.1) for effect in absent]
     together = list(linearize(parts, [moved] * len(parts)))
     assert len(parts) > 2
-    assert all(each.coefficients is not None for each in together)
+    assert all(each.known is not None for each in together)
     for part, linearization in zip(parts, together, strict=True):
         found, alone = part.linearized(linearization).R, part.linearized(part.linearization(moved)).R
         scale = np.linalg.norm(alone, axis=0)
@@ -158,10 +158,13 @@ def test_effects_with_a_memory_remember_the_motion_before_a_segment(effect: Effe
     path = whole.trajectory
     forgetful = sum(part.chi2 for part in parts)
     remembering = 0.0
+    # Beside a shorter recording and a longer one, which are followed together.
+    shorter = np.arange(3.0), path.q[:3], path.v[:3]
+    longer = np.r_[path.elapsed(path.time), 1e3], np.r_[path.q, path.q[:1]], np.r_[path.v, path.v[:1]]
+    own = {whole.observed.recording.file: (path.elapsed(path.time), path.q, path.v)}
+    preceding = PrecedingMotions.of(whole.chain, {"shorter": shorter, **own, "longer": longer})
     for part in parts:
-        observed = replace(
-            part.observed, preceding=PrecedingMotion(whole.chain, path.elapsed(path.time), path.q, path.v)
-        )
+        observed = replace(part.observed, preceding=preceding)
         remembering += run_of(part.arm, observed, part.state).chi2
     assert abs(remembering - whole.chi2) < 0.1 * (forgetful - whole.chi2)
 

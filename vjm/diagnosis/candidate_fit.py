@@ -26,7 +26,7 @@ from vjm.identification.trajectory_method import hides_fast_modes, search_step_m
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import FEW_TRIALS, damped_states, fit_initial_states
-from vjm.simulation.measurement import Observations, PrecedingMotion
+from vjm.simulation.measurement import Observations, PrecedingMotions
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run, by_recording, earlier_runs, is_followed, linearize_by_states, state_at
 from vjm.simulation.system import Trajectory
@@ -154,6 +154,27 @@ def refit(
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
+
+
+def refit_within_bounds(
+    start: TrajectoryFit, deadline: float, max_chi2: float, effects: Sequence[Effect]
+) -> TrajectoryFit | None:
+    """Refit a model with other effects; None where it cannot be simulated, or only with an effect at its bounds.
+
+    One of several sizes may be there, such as gravity along a clamped link, which its motion hardly shows: it stands in
+    for what further effects explain, and the others are estimates.
+
+    A model with stick-slip or play as well that fits no better than the one without was thrown off by its first step,
+    which was to correct initial states that suit a motion without them: the states are then estimated first.
+    """
+    fit = refit(start, effects, StoppingRule(max_chi2, deadline=deadline))
+    added = {effect.key: effect.nonsmooth for effect in effects if effect.key not in start.effect_keys}
+    nested = len(added) == len(effects) - len(start.effects)
+    worse = fit is None or fit.chi2 >= start.chi2
+    if worse and nested and any(added.values()) and max_chi2 > start.chi2 and monotonic() <= deadline:
+        retried = refit(start, effects, StoppingRule(max_chi2, deadline=deadline), states_first=True)
+        fit = min(filter(None, (fit, retried)), key=lambda fit: fit.chi2, default=None)
+    return None if fit is None or any(all(effect.at_bounds) for effect in fit.new_effects) else fit
 
 
 def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
@@ -439,19 +460,15 @@ def segments(observed: Observations, duration: float) -> tuple[Observations, ...
 def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
     """Return segments with the motion of their recordings before them, as last simulated segment by segment."""
     in_order = sorted(runs, key=lambda run: float(run.trajectory.time[0]))
-    motions = {
-        file: _concatenate([run.trajectory for run in parts], parts[0].chain)
-        for file, parts in by_recording(in_order).items()
-    }
-    return [
-        replace(part, preceding=motions[part.recording.file]) if part.start is not None else part for part in observed
-    ]
+    motions = {file: _concatenate([run.trajectory for run in parts]) for file, parts in by_recording(in_order).items()}
+    preceding = PrecedingMotions.of(runs[0].chain, motions)
+    return [part if part.start is None else replace(part, preceding=preceding) for part in observed]
 
 
-def _concatenate(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
-    """Concatenate the trajectories of a recording's segments, each up to where the next begins."""
+def _concatenate(paths: Sequence[Trajectory]) -> tuple[Array, Array, Array]:
+    """Concatenate the trajectories of a recording's segments, each up to where the next begins: times, q and v."""
     ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
     shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
     time = np.concatenate([path.elapsed(path.time)[shown_part] for path, shown_part in shown])
     q, v = (np.concatenate([getattr(path, name)[shown_part] for path, shown_part in shown]) for name in ("q", "v"))
-    return PrecedingMotion(chain, time, q, v)
+    return time, q, v

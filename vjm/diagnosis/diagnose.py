@@ -103,7 +103,7 @@ def diagnose(
             options = replace(options, least_share=1.0, parameter_share=1.0)
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
-        exhausted = options.exhausted and not insufficient
+        stopped = search.stopped
         search.options = replace(options, deadline=began + 0.875 * seconds)
         # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
         # recordings, and otherwise in these, which show more.
@@ -121,7 +121,7 @@ def diagnose(
             resemblance = describe_residual(result.best.point, result.best.effects, experiment.rig)
             findings = replace(findings, resemblance=resemblance)
         missed = search.unfinished - {effect.id for effect in result.best.effects}
-        spent = Budget(seconds, monotonic() - began, exhausted or bool(missed), tuple(sorted(missed)))
+        spent = Budget(seconds, monotonic() - began, stopped or bool(missed), tuple(sorted(missed)))
         return conclude(replace(findings, budget=spent))
 
 

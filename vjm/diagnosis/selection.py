@@ -28,6 +28,7 @@ from vjm.diagnosis.candidate_fit import (
     predicted_increase,
     refit,
     refit_other_frequencies,
+    refit_within_bounds,
     starting_effect,
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
@@ -122,6 +123,7 @@ class Search:
         unfinished: ids of effects whose fits were wanted when the deadline came.
         unjustified: ids of effects that were dropped, since the recordings do not determine them or are predicted no
             better with them.
+        stopped: True if the deadline came before the search was done.
     """
 
     def __init__(
@@ -140,8 +142,16 @@ class Search:
         self.p_values: dict[Key, float] = {}
         self.unfinished: set[str] = set()
         self.unjustified: list[str] = []
+        self.stopped = False
+        self._testing = 0.0  # what tests of candidates take [s]
         self._decreases: dict[Key, float] = {}
         self._first_tests: FamilyTest | None = None  # beside the model without effects
+
+    @property
+    def out_of_time(self) -> bool:
+        """True after the deadline, which is noted: what asks has something left to do."""
+        self.stopped = self.stopped or self.options.exhausted
+        return self.options.exhausted
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
@@ -152,7 +162,7 @@ class Search:
         best, family = self._forward_selection(best, fits, small=whole)
         stages = [(best, fits)]
         for duration in durations:
-            if self.options.exhausted:
+            if self.out_of_time:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
             # is in none in these, within a standard error, will not find one in longer ones.
@@ -176,6 +186,7 @@ class Search:
                 break
         if family is None:
             best, fits, family = self._select_small(stages)
+        self.options = replace(self.options, deadline=self.options.deadline + self._testing)  # the last tests are made
         best = fits[best.effect_keys] = self._continued(best)
         again = corrected_again(best, self.rig, self.options.deadline) if whole and best.new_effects else None
         if again is not None:  # fits beside another discretization error are not to be compared with it
@@ -187,7 +198,7 @@ class Search:
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _continued(self, fit: TrajectoryFit) -> TrajectoryFit:
-        if not fit.new_effects or self.options.exhausted:
+        if not fit.new_effects or self.out_of_time:
             return fit
         self.report("converging")
         return continued(fit, self.rig, self.options.deadline)
@@ -203,7 +214,7 @@ class Search:
             stages: models fitted to ever longer segments, with all fits to these; stages gone back from are removed.
         """
         fit, fits = stages[-1]
-        if self.options.exhausted:
+        if self.out_of_time:
             return fit, fits, self.screen(fit)
         corrected = self._corrected(fit)
         while corrected is None and len(stages) > 1 and not self._explains_all(fit, fit):
@@ -261,7 +272,7 @@ class Search:
             candidates = [fit for fit in candidates if fit.effect_keys != best.effect_keys]
             # Stick-slip and play are slow to fit: only where the best model has such an effect.
             candidates = [fit for fit in candidates if not is_nonsmooth(fit.effects) or is_nonsmooth(best.effects)]
-            if candidates and not self.options.exhausted:
+            if candidates and not self.out_of_time:
                 self.report("fitting the next best")
                 second = min(candidates, key=self.options.criterion)
                 try:
@@ -273,12 +284,20 @@ class Search:
         return None
 
     def screen(self, fit: TrajectoryFit) -> FamilyTest:
-        """Test the candidates beside a model."""
+        """Test the candidates beside a model.
+
+        A search ends with these tests: the time that they take is kept for that.
+        """
         self.report("testing candidates")
+        began = monotonic()
         candidates = CandidateSet.of(self.effects, self.rig, self.recordings, fit.point.runs)
         absent = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.effect_keys]
         screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in absent], self.workers)
-        return FamilyTest.of(screened, candidates.multiplicity[absent], self.options.alpha, self.options.seed)
+        family = FamilyTest.of(screened, candidates.multiplicity[absent], self.options.alpha, self.options.seed)
+        longer = max(0.0, monotonic() - began - self._testing)
+        self._testing += longer
+        self.options = replace(self.options, deadline=self.options.deadline - longer)
+        return family
 
     def negligible(self, fit: TrajectoryFit) -> float:
         """Return the chi^2 that a model may leave beyond noise: a share of what remains, as large causes come first.
@@ -408,14 +427,14 @@ class Search:
         if untried:
             present = {effect.id for effect in start.effects}
             added = sorted({effect.id for effects in untried for effect in effects} - present)
-            if not self.options.exhausted:
+            if not self.out_of_time:
                 names = " and ".join(added[:2]) + (f" and {len(added) - 2} more" if len(added) > 2 else "")
                 self.report(
                     f"fitting {names}, residual {ratio(min(fit.misfit for fit in (start, *fits.values())))} × noise"
                 )
-                trials = self.workers.map(partial(_refit_within_bounds, start, self.options, max_chi2), untried)
+                trials = self.workers.map(partial(refit_within_bounds, start, self.options.deadline, max_chi2), untried)
                 fits |= {trial.effect_keys: trial for trial in trials if trial is not None}
-            if self.options.exhausted:
+            if self.out_of_time:
                 self.unfinished |= set(added)
         return [fits[names] for names in keys if names in fits]
 
@@ -466,9 +485,8 @@ class Search:
         remaining = tuple(present for present in fit.effects if present is not effect)
         names, is_whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
         known = fits.get(names, self.start if is_whole and names == self.start.effect_keys else None)
-        if self.options.exhausted or (
-            known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
-        ):
+        sufficient = known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
+        if sufficient or self.out_of_time:
             return known
         reduced = refit(fit, remaining, self.options.stop(max_chi2))
         best = min(filter(None, (reduced, known)), key=lambda fit: fit.chi2, default=None)
@@ -498,7 +516,7 @@ class Search:
 
         With stick-slip or play also None where it leaves more than noise of them, and after the deadline always.
         """
-        if self.options.exhausted:
+        if self.out_of_time:
             return None
         self.report("lengthening segments")
         try:
@@ -546,7 +564,7 @@ class Search:
         if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._explains_all(fit, reduced):
             return fit
         left, before = (model.chi2 - model.point.expected_chi2 for model in (fit, reduced))
-        if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.options.exhausted:
+        if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.out_of_time:
             return fit
         self.report("refining the chain")
         finer = refined(fit, self.rig, self.options.stop(fit.point.noise_limit))
@@ -568,27 +586,6 @@ class Search:
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
         return tuple(result.last_tests.screen.effects[k] for k in self.needed(result.best, result.last_tests))
-
-
-def _refit_within_bounds(
-    start: TrajectoryFit, options: SearchOptions, max_chi2: float, effects: Sequence[Effect]
-) -> TrajectoryFit | None:
-    """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bounds.
-
-    One of several sizes may be there, such as gravity along a clamped link, which its motion hardly shows: it stands in
-    for what further effects explain, and the others are estimates.
-
-    A model with stick-slip or play as well that fits no better than the one without was thrown off by its first step,
-    which was to correct initial states that suit a motion without them: the states are then estimated first.
-    """
-    fit = refit(start, effects, options.stop(max_chi2))
-    added = {effect.key: effect.nonsmooth for effect in effects if effect.key not in start.effect_keys}
-    nested = len(added) == len(effects) - len(start.effects)
-    worse = fit is None or fit.chi2 >= start.chi2
-    if worse and nested and any(added.values()) and max_chi2 > start.chi2 and not options.exhausted:
-        retried = refit(start, effects, options.stop(max_chi2), states_first=True)
-        fit = min(filter(None, (fit, retried)), key=lambda fit: fit.chi2, default=None)
-    return None if fit is None or any(all(effect.at_bounds) for effect in fit.new_effects) else fit
 
 
 def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:

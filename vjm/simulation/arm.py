@@ -200,6 +200,11 @@ class Arm:
         return tuple(effect for effect in self.effects if effect.sensor)
 
     @cached_property
+    def exposure_effects(self) -> tuple[Effect, ...]:
+        """Effects on the instants at which the camera sees markers."""
+        return tuple(e for e in self.sensors if type(e).camera_instants is not Effect.camera_instants)
+
+    @cached_property
     def timing_variance(self) -> float:
         """Variance of the instants at which the camera takes its frames [s^2]."""
         return sum(effect.timing_noise**2 for effect in self.sensors)

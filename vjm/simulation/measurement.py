@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -49,7 +50,21 @@ class MarkerArcs:
 
     def positions(self, chain: Chain, q: Array) -> Array:
         """Return (..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
-        return marker_poses(chain, q, self.lengths, self.in_link_frame)[0]
+        return self.poses(chain, q)[0]
+
+    def poses(self, chain: Chain, q: Array) -> tuple[Array, Array]:
+        """Return the markers' positions (..., k, 2) [m], and headings (..., k) [rad] of the links there."""
+        return marker_poses(chain, q, self.lengths, self.in_link_frame)
+
+    def seen(self, arm: Arm, positions: Array, headings: Array, time: Array) -> Array:
+        """Return (F, k, 2) positions [m] as the camera gives them, from the markers' poses when they are seen.
+
+        Poses are at each of the instants (F,), or at (k, F), those at which each marker is seen.
+        """
+        if time.ndim == 1:
+            return arm.marker_positions(positions, headings, time)
+        instants = enumerate(zip(positions, headings, time, strict=True))
+        return np.stack([arm.marker_positions(*seen)[:, k] for k, seen in instants], axis=1)
 
     def measured_positions(self, arm: Arm, q: Array, time: Array) -> Array:
         """Return (F, k, 2) positions [m] as the camera gives them.
@@ -59,13 +74,7 @@ class MarkerArcs:
             q: (F, nv), or (k, F, nv) for each marker, angles [rad].
             time: (F,) or (k, F) when the arm is seen at these, since the recording's start [s].
         """
-        if q.ndim == 3:
-            by_marker = [
-                self.measured_positions(arm, *exposure)[:, k] for k, exposure in enumerate(zip(q, time, strict=True))
-            ]
-            return np.stack(by_marker, axis=1)
-        positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
-        return arm.marker_positions(positions, headings, time)
+        return self.seen(arm, *self.poses(arm.chain, q), time)
 
     def jacobian(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
         """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
@@ -77,7 +86,7 @@ class MarkerArcs:
             return np.concatenate(by_marker, axis=1)
         slopes, turning = marker_pose_slopes(arm.chain, q, directions, self.lengths, self.in_link_frame)
         if arm.sensors:  # what they make of the markers is known in values only
-            positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
+            positions, headings = self.poses(arm.chain, q)
             seen = arm.marker_positions(positions, headings, time)
             # Small at every joint: shapes of a mode with unit modal mass are large on a light arm.
             steps = DIFFERENCE_STEP / np.maximum(np.abs(directions).max(axis=0, initial=0.0), 1e-300)
@@ -89,11 +98,10 @@ class MarkerArcs:
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
         exposures = time
-        shifting = [effect for effect in arm.sensors if type(effect).camera_instants is not Effect.camera_instants]
-        if shifting:
+        if arm.exposure_effects:
             stamps = trajectory.elapsed(time)
             positions = self.positions(arm.chain, trajectory.angles(time))
-            for effect in shifting:
+            for effect in arm.exposure_effects:
                 exposures = exposures + (effect.camera_instants(stamps, positions).T - stamps)
         return exposures
 
@@ -121,37 +129,54 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class PrecedingMotion:
-    """Estimated motion of an arm in a recording, of which effects with a memory remember what is before a segment.
+class PrecedingMotions:
+    """Estimated motions of an arm in recordings, of which effects with a memory remember what is before a segment.
 
     Attributes:
         chain: that moved.
-        time: (I,) since the recording's start [s].
-        q, v: (I, nv) angles [rad] and rates [rad/s].
+        files: R recordings.
+        time: (I, R) since each recording's start [s]; shorter motions end with repetitions of their last instant.
+        q, v: (I, R, nv) angles [rad] and rates [rad/s].
     """
 
     chain: Chain
+    files: tuple[str, ...]
     time: Array
     q: Array
     v: Array
     _known: dict[tuple[int, tuple[Effect, ...]], Array] = field(default_factory=dict, repr=False)
 
-    def internal_states(self, arm: Arm, time: float) -> Array:
-        """Return the internal states (nz,) of an arm's effects at a time since the recording's start [s]."""
-        index = int(np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1))
-        share = np.clip((time - self.time[index - 1]) / (self.time[index] - self.time[index - 1]), 0.0, 1.0)
-        states = self._along(arm)
-        at_time: Array = states[index - 1] + share * (states[index] - states[index - 1])
-        return at_time
+    @classmethod
+    def of(cls, chain: Chain, motions: Mapping[str, tuple[Array, Array, Array]]) -> Self:
+        """Collect times (I,), angles and rates (I, nv), by recording's file."""
+        longest = max(time.size for time, *_ in motions.values())
+        time, q, v = (
+            np.stack([values[np.minimum(np.arange(longest), len(values) - 1)] for values in each], axis=1)
+            for each in zip(*motions.values(), strict=True)
+        )
+        return cls(chain, tuple(motions), time, q, v)
+
+    def internal_states(self, arm: Arm, file: str, time: float) -> Array:
+        """Return the internal states (nz,) of an arm's effects at a time since a recording's start [s]."""
+        states, of_recording = self._along(arm), self.files.index(file)
+        times = self.time[:, of_recording]
+        later = max(int(np.searchsorted(times, time)), 1)
+        if later >= times.size:
+            return np.asarray(states[-1, of_recording])
+        share = np.clip((time - times[later - 1]) / (times[later] - times[later - 1]), 0.0, 1.0)
+        before, after = states[later - 1 : later + 1, of_recording]
+        return np.asarray(before + share * (after - before))
 
     def _along(self, arm: Arm) -> Array:
-        """Return internal states (I, nz) of an arm's effects, which depend on no stiffness."""
+        """Return internal states (I, R, nz) of an arm's effects, which depend on no stiffness."""
         counts = zip(arm.effects, arm.state_counts, strict=True)
         key = arm.chain.size, tuple(effect for effect, count in counts if count)
         if key not in self._known:
             q, v = self.q, self.v
             if arm.chain.size != self.chain.size:
-                q, v = np.split(transfer_state(self.chain, arm.chain, np.hstack([q, v]).T).T, 2, axis=1)
+                states = np.concatenate([q, v], axis=2)
+                moved = transfer_state(self.chain, arm.chain, states.reshape(-1, states.shape[2]).T).T
+                q, v = np.split(moved.reshape(*states.shape[:2], -1), 2, axis=2)
             self._known[key] = Arm(arm.chain, key[1]).follow(self.time, q, v)
         return self._known[key]
 
@@ -183,7 +208,7 @@ class Observations:
             that turn as their encoders say make of the weighted values; None: nothing.
         discretization_offset: (N_m + N_t,) added to predictions [m, rad]; None: nothing.
         start: instant at which the recording began, where this is part of a longer one [s]; None: its first.
-        preceding: motion of the whole recording; None: not known, effects remember nothing.
+        preceding: motions of whole recordings; None: not known, effects remember nothing.
     """
 
     recording: Recording
@@ -198,7 +223,7 @@ class Observations:
     motion_errors: Array | None = None
     discretization_offset: Array | None = None
     start: float | None = None
-    preceding: PrecedingMotion | None = None
+    preceding: PrecedingMotions | None = None
 
     @classmethod
     def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
@@ -310,7 +335,7 @@ class Observations:
         """Return the internal states (nz,) of an arm's effects at the first instant, at angles q (nv,) [rad]."""
         if self.preceding is None or not sum(arm.state_counts):
             return arm.initial_states(q)
-        return self.preceding.internal_states(arm, float(self.recording.time[0]) - self.began)
+        return self.preceding.internal_states(arm, self.recording.file, float(self.recording.time[0]) - self.began)
 
     def truncated(self, end: float) -> Observations:
         """Return the values measured up to an instant [s]."""

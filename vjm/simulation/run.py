@@ -21,7 +21,7 @@ from vjm.simulation.given_motion import acceleration_errors
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations, principal_errors, sensor_readings
-from vjm.simulation.sensitivity import Linearization, with_coefficients
+from vjm.simulation.sensitivity import Linearization, computed_together
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
 from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
@@ -212,7 +212,7 @@ class Run:
         )
         smooth = [perturbation._replace(arm=other) for perturbation, other in zip(perturbed, others, strict=True)]
         trajectory = self.trajectory
-        return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
+        return Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
 
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
@@ -374,7 +374,7 @@ def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) 
     """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
     simulated = _simulate_perturbed(runs, perturbed)
     triples = zip(runs, perturbed, simulated, strict=True)
-    yield from with_coefficients([run.linearization(arms, slopes) for run, arms, slopes in triples])
+    yield from computed_together([run.linearization(arms, slopes) for run, arms, slopes in triples])
 
 
 def _simulate_perturbed(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> list[dict[int, Array]]:

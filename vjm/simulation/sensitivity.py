@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,9 +39,8 @@ class Linearization:
         perturbed: p arms, each with one parameter changed.
         trajectory: the motion linearised about; its number of steps is a multiple of two strides.
         stride: integrator steps in half an interval.
-        trajectories: the motion for each of the perturbed arms, with joints that only it has.
         simulated: (N,) derivatives of the predictions by those of the perturbed arms that were simulated, by index.
-        coefficients: those of the variational equations along the whole trajectory; None: not computed yet.
+        known: what was computed together with other runs' linearizations; None: nothing.
     """
 
     observed: Observations
@@ -50,24 +49,13 @@ class Linearization:
     perturbed: Sequence[PerturbedArm]
     trajectory: Trajectory
     stride: int
-    trajectories: tuple[Trajectory, ...]
     simulated: Mapping[int, Array]
-    coefficients: Coefficients | None = None
+    known: _ComputedTogether | None = None
 
-    @classmethod
-    def of(
-        cls,
-        observed: Observations,
-        arm: Arm,
-        basis: ModalBasis,
-        perturbed: Sequence[PerturbedArm],
-        trajectory: Trajectory,
-        stride: int,
-        simulated: Mapping[int, Array],
-    ) -> Self:
-        """Linearize a motion; arguments as the attributes."""
-        moved = tuple(with_added_joints(trajectory, arm.chain, other_arm, observed) for other_arm, *_ in perturbed)
-        return cls(observed, arm, basis, perturbed, trajectory, stride, moved, simulated)
+    @cached_property
+    def trajectories(self) -> tuple[Trajectory, ...]:
+        """The motion for each of the perturbed arms, with joints that only it has."""
+        return _trajectories_of([self])[0] if self.known is None else self.known.trajectories
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
         """Yield weighted derivatives of the measured values, one chunk of the recording after another.
@@ -113,11 +101,11 @@ class Linearization:
         if nz:
             state[2 * size :] = self._initial_internal_states()
         rows, chunk_size = self.rows, self.max_chunk
-        if self.coefficients or any(sum(arm.state_counts) > nz for arm, *_ in self.perturbed):
+        if self.known or any(sum(arm.state_counts) > nz for arm, *_ in self.perturbed):
             chunk_size = rows.size  # internal states that only perturbed arms have are followed from the start
         for first in range(0, rows.size - 1, chunk_size):
             part = rows[first : first + chunk_size + 1]
-            coefficients = self.coefficients or self._coefficients_along(part)
+            coefficients = self.known.coefficients if self.known else self._coefficients_along(part)
             friction = None if coefficients.friction is None else trajectory.friction
             pieces = None if friction is None else friction.pieces(2 * part[::2])
             flow, forced = propagators(coefficients, 2 * self.stride * trajectory.step, pieces)
@@ -145,7 +133,7 @@ class Linearization:
         return 2 * max(20, _MOST_COEFFICIENTS // size**2)
 
     def _coefficients_along(self, rows: Indices) -> Coefficients:
-        return _coefficients_of([self], [rows])[0]
+        return _coefficients_of([self], [rows], [self.trajectories])[0]
 
     def _initial_internal_states(self) -> Array:
         """Return derivatives (nz, 2 slow + p) of the internal states at the start."""
@@ -175,16 +163,22 @@ class Linearization:
         else:
             by_marker = by_modes.reshape(len(by_modes), len(exposures), 2, by_modes.shape[2])
             slopes = (by_marker @ np.swapaxes(modes, 0, 1)).reshape(*by_modes.shape[:2], modes.shape[-1])
-        base: Array | None = None
+        chain, sensors, exposed = self.arm.chain, self.arm.sensors, self.arm.exposure_effects
+        poses: tuple[Array, Array] | None = None
         first = slopes.shape[2] - len(self.perturbed)
         for k, (arm, step, _) in enumerate(self.perturbed, start=first):
             # Markers are measured at the same places unless sensors, joints or curves differ.
-            chain, path = self.arm.chain, self.trajectories[k - first]
-            unchanged = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
-            if self.arm.sensors != arm.sensors or not unchanged:
-                base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
-                changed = arcs.positions_in_frames(arm, path, stamps)
-                slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
+            placed = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
+            if placed and sensors == arm.sensors:
+                continue
+            if poses is None:
+                poses = arcs.poses(chain, q)
+                base = arcs.seen(self.arm, *poses, elapsed)
+            if placed and exposed == arm.exposure_effects:
+                changed = arcs.seen(arm, *poses, elapsed)
+            else:
+                changed = arcs.positions_in_frames(arm, self.trajectories[k - first], stamps)
+            slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
     def _encoder_jacobian(self, part: Trajectory, angles: slice) -> Array:
@@ -207,15 +201,22 @@ class Linearization:
         return slopes
 
 
-def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
+class _ComputedTogether(NamedTuple):
+    """Parts of a linearization that were computed in one batch with those of others."""
+
+    trajectories: tuple[Trajectory, ...]  # the motion for each of the perturbed arms
+    coefficients: Coefficients  # along the whole trajectory
+
+
+def computed_together(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
     """Yield linearizations with their coefficients; those of neighbouring short ones of the same arm in one batch."""
     group: list[Linearization] = []
     for linearization in linearizations:
         if group and not _is_compatible(group, linearization):
-            yield from _with_shared_coefficients(group)
+            yield from _as_group(group)
             group = []
         group.append(linearization)
-    yield from _with_shared_coefficients(group)
+    yield from _as_group(group)
 
 
 def _is_compatible(group: Sequence[Linearization], added: Linearization) -> bool:
@@ -230,23 +231,35 @@ def _is_compatible(group: Sequence[Linearization], added: Linearization) -> bool
     )
 
 
-def _with_shared_coefficients(group: Sequence[Linearization]) -> Iterator[Linearization]:
+def _as_group(group: Sequence[Linearization]) -> Iterator[Linearization]:
     if len(group) < 2:
         yield from group
         return
-    for member, coefficients in zip(group, _coefficients_of(group, [member.rows for member in group]), strict=True):
-        yield replace(member, coefficients=coefficients)
+    trajectories = _trajectories_of(group)
+    coefficients = _coefficients_of(group, [member.rows for member in group], trajectories)
+    for member, paths, of_member in zip(group, trajectories, coefficients, strict=True):
+        yield replace(member, known=_ComputedTogether(paths, of_member))
 
 
-def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) -> list[Coefficients]:
-    """Return the coefficients of linearizations of the same arm, each at some rows of its trajectory."""
+def _trajectories_of(group: Sequence[Linearization]) -> list[tuple[Trajectory, ...]]:
+    """Return, for each linearization of the same arms, the motion for each of the perturbed ones."""
+    chain, paths = group[0].arm.chain, [member.trajectory for member in group]
+    observed = [member.observed for member in group]
+    by_arm = [with_added_joints(paths, chain, arm, observed) for arm, *_ in group[0].perturbed]
+    return list(zip(*by_arm, strict=True)) if by_arm else [()] * len(group)
+
+
+def _coefficients_of(
+    group: Sequence[Linearization], rows: Sequence[Indices], trajectories: Sequence[tuple[Trajectory, ...]]
+) -> list[Coefficients]:
+    """Return the coefficients of linearizations of the same arms, each at some rows of its trajectories."""
     observed = [member.observed for member in group]
 
     def motions(paths: Sequence[Trajectory]) -> Motions:
         return Motions.of([path.at(indices) for path, indices in zip(paths, rows, strict=True)], observed)
 
     motion = motions([member.trajectory for member in group])
-    changed = zip(*(member.trajectories for member in group), strict=True)
+    changed = zip(*trajectories, strict=True)
     # Most perturbed arms have no joint of their own, and move as the arm does.
     perturbed = [motion if paths[0] is group[0].trajectory else motions(paths) for paths in changed]
     return coefficients_along(group[0].arm, [member.basis for member in group], group[0].perturbed, motion, perturbed)

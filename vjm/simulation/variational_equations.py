@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import is_nonsmooth
@@ -438,8 +440,10 @@ def _added_joints(chain: Chain, extended: Chain) -> Indices:
     return np.array([k for k, name in enumerate(extended.joint_names) if name not in known], dtype=np.intp)
 
 
-def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: Observations) -> Trajectory:
-    """Return a motion with the joints that another arm has in addition, moved by the reactions to the motion as it is.
+def with_added_joints(
+    paths: Sequence[Trajectory], chain: Chain, arm: Arm, observed: Sequence[Observations]
+) -> list[Trajectory]:
+    """Return motions with the joints that another arm has in addition, moved by the reactions to them as they are.
 
     To first order in their compliance. A root joint, whose spring is far stiffer than the inertia that it carries is
     heavy, turns by its reaction over the stiffness. A base, which has a mass of its own, starts at rest and swings.
@@ -449,33 +453,64 @@ def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: 
     extended = arm.chain
     added = _added_joints(chain, extended)
     if not added.size:
-        return trajectory
-    shared = np.delete(np.arange(extended.size), added)
-    q, v, a = (np.zeros((len(trajectory.time), extended.size)) for _ in range(3))
-    q[:, shared], v[:, shared], a[:, shared] = trajectory.q, trajectory.v, trajectory.a
-    motion = Motions.of([replace(trajectory, q=q, v=v, a=a)], [observed])
-    if sum(arm.state_counts) > trajectory.z.shape[1]:
+        return list(paths)
+    place = np.delete(np.arange(extended.size), added), extended.size
+    wider = [
+        replace(path, q=_widened(path.q, *place), v=_widened(path.v, *place), a=_widened(path.a, *place))
+        for path in paths
+    ]
+    motion = Motions.of(wider, observed)
+    if sum(arm.state_counts) > motion.z.shape[1]:
         motion = motion.followed(arm)
     equations = _EquationsOfMotion(arm, motion)
     reactions = equations.inertial_torque(motion) + equations.further_torque(motion)
-    inertia = equations.mechanism.mass_matrix(q[:1])[0]
-    if np.linalg.matrix_rank(inertia, hermitian=True) < extended.size or not np.isfinite(reactions[:, added]).all():
-        return replace(trajectory, q=np.full_like(q, np.nan), v=v, a=a)
-    elapsed = trajectory.step * np.arange(len(trajectory.time))
-    for joint in added.tolist():
-        mass, stiffness, damping = inertia[joint, joint], extended.stiffness[joint], extended.damping[joint]
-        if joint >= extended.base_size:
-            turn = CubicSpline(elapsed, -reactions[:, joint] / stiffness)
-            q[:, joint], v[:, joint], a[:, joint] = (turn(elapsed, order) for order in range(3))
+    inertia = equations.mechanism.mass_matrix(np.stack([path.q[0] for path in wider]))
+    movable = np.linalg.matrix_rank(inertia, hermitian=True) == extended.size
+    for path, part, mass_matrix, moves in zip(wider, motion.parts, inertia, movable, strict=True):
+        if not moves or not np.isfinite(reactions[part][:, added]).all():
+            path.q[:] = np.nan
             continue
-        oscillator = [[0.0, 1.0], [-stiffness / mass, -damping / mass]]
-        reaction, inputs = reactions[:, joint], [[0.0], [-1 / mass]]
-        _, _, swing = signal.lsim((oscillator, inputs, np.eye(2), np.zeros((2, 1))), reaction, elapsed)
-        q[:, joint], v[:, joint] = swing.T
-        a[:, joint] = -(reaction + stiffness * q[:, joint] + damping * v[:, joint]) / mass
-    return replace(trajectory, q=q, v=v, a=a)
+        for joint in added.tolist():
+            reaction, stiffness, damping = reactions[part, joint], extended.stiffness[joint], extended.damping[joint]
+            if joint >= extended.base_size:
+                elapsed = path.step * np.arange(len(path.time))
+                turn = CubicSpline(elapsed, -reaction / stiffness)
+                path.q[:, joint], path.v[:, joint], path.a[:, joint] = (turn(elapsed, order) for order in range(3))
+                continue
+            mass = mass_matrix[joint, joint]
+            q, v = _swing(-reaction / mass, stiffness / mass, damping / mass, path.step)
+            path.q[:, joint], path.v[:, joint] = q, v
+            path.a[:, joint] = -(reaction + stiffness * q + damping * v) / mass
+    return wider
 
 
+def _widened(values: Array, shared: Indices, size: int) -> Array:
+    """Return values (I, k) of some joints as those (I, size) of more joints, zero for the others."""
+    wider = np.zeros((len(values), size))
+    wider[:, shared] = values
+    return wider
+
+
+def _swing(push: Array, stiffness: float, damping: float, step: float) -> tuple[Array, Array]:
+    """Return position and rate (I,) of an oscillator that starts at rest, under a push (I,) that is linear in a step.
+
+    All are divided by its mass: q'' + damping q' + stiffness q = push. Steps are advanced exactly, as one recursion of
+    second order for either (Cayley and Hamilton).
+    """
+    system = np.zeros((4, 4))  # its state, the push, and what this changes by in a step
+    system[0, 1], system[1, :3], system[2, 3] = step, (-stiffness * step, -damping * step, step), 1.0
+    advanced = linalg.expm(system)
+    (qq, qv), (vq, vv) = A = advanced[:2, :2]
+    by_push, by_change = advanced[:2, 2], advanced[:2, 3]
+    pushed_q, pushed_v = np.outer(by_push, push[:-1]) + np.outer(by_change, np.diff(push))
+    # From x' = A x + w: q'' - tr(A) q' + det(A) q = w_q' - vv w_q + qv w_v, and so for the rate; ' is one step later.
+    recursion = [1.0, -np.trace(A), np.linalg.det(A)]
+    q = lfilter([1.0, -vv], recursion, pushed_q) + lfilter([0.0, qv], recursion, pushed_v)
+    v = lfilter([1.0, -qq], recursion, pushed_v) + lfilter([0.0, vq], recursion, pushed_q)
+    return np.r_[0.0, q], np.r_[0.0, v]
+
+
+@lru_cache(maxsize=1024)  # asked again for every recording and segment
 def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
     """Return True if two chains have the same base, and links that are equal in some fields."""
     if chain.base != other.base:
