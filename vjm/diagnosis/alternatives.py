@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import information_of, predicted_increase, starting_effect
+from vjm.diagnosis.candidate_fit import fit_segments, information_of, predicted_increase, starting_effect
 from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
+from vjm.diagnosis.simulations import open_loop
 from vjm.effects import Effect
-from vjm.effects.effect import Key
+from vjm.effects.effect import Key, is_nonsmooth
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import VISIBLE_SHARE, Array, Estimate
 from vjm.text import number, ratio
@@ -51,6 +53,26 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
         search.fit_models(best, models, best.chi2 + tolerance, result.fits)
         alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance, search.options)
     return alternatives
+
+
+def find_next_best(result: SearchResult, search: Search) -> TrajectoryFit | None:
+    """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
+    best = result.best
+    for fits in (result.fits, result.segment_fits):
+        candidates = [fit for fit in fits.values() if len(fit.new_effects) == len(best.new_effects) > 0]
+        candidates = [fit for fit in candidates if fit.effect_keys != best.effect_keys]
+        # Stick-slip and play are slow to fit: only where the best model has such an effect.
+        candidates = [fit for fit in candidates if not is_nonsmooth(fit.effects) or is_nonsmooth(best.effects)]
+        if candidates and not search.out_of_time:
+            search.report("fitting the next best")
+            second = min(candidates, key=search.options.criterion)
+            try:
+                if is_nonsmooth(second.effects) or fits is result.fits:
+                    return open_loop(second, search.whole)
+                return fit_segments(second, search.whole, np.inf, search.options.stop())
+            except (SimulationDivergedError, InsufficientDataError):
+                return None
+    return None
 
 
 def equivalent_increase(fit: TrajectoryFit) -> float:

@@ -13,7 +13,7 @@ from time import monotonic
 
 import numpy as np
 
-from vjm.diagnosis.alternatives import estimate_causes, find_alternatives, ranked
+from vjm.diagnosis.alternatives import estimate_causes, find_alternatives, find_next_best, ranked
 from vjm.diagnosis.baseline import Baseline, fit_baseline
 from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
@@ -171,7 +171,7 @@ def _findings(
     alternatives = find_alternatives(result, search)
     causes = estimate_causes(result, search, alternatives, reference_misfit, information_of(best).covariance)
     search.report("simulating the recordings")
-    next_best = search.next_best(result)
+    next_best = find_next_best(result, search)
     recordings = simulate_recordings(experiment, noise, before, after, next_best)
     model, reference = model_of(best, rig, noise), model_of(search.start, rig, noise)
     causes = ranked(with_holdout_gains(rig, causes, recordings, best, result.fits))

@@ -33,7 +33,6 @@ from vjm.diagnosis.candidate_fit import (
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
-from vjm.diagnosis.simulations import open_loop
 from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
@@ -195,6 +194,8 @@ class Search:
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
+        if not best.new_effects and len(best.point.runs) == len(self.whole):
+            self.start = best  # which may be a better minimum
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _continued(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -221,6 +222,8 @@ class Search:
             stages.pop()
             fit, fits = stages[-1]
         best = fits[fit.effect_keys] = corrected or fit
+        if corrected is not None:  # an effect that stood in for the discretization error is not needed any more
+            best = self._backward_elimination(best, fits, even_single=True)
         best, family = self._forward_selection(best, fits, small=corrected is not None)
         stages[-1] = best, fits
         return best, fits, family or self.screen(best)
@@ -263,25 +266,6 @@ class Search:
         except (SimulationDivergedError, InsufficientDataError):
             return base
         return min(base, from_nominal, key=lambda fit: fit.chi2)
-
-    def next_best(self, result: SearchResult) -> TrajectoryFit | None:
-        """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
-        best = result.best
-        for fits in (result.fits, result.segment_fits):
-            candidates = [fit for fit in fits.values() if len(fit.new_effects) == len(best.new_effects) > 0]
-            candidates = [fit for fit in candidates if fit.effect_keys != best.effect_keys]
-            # Stick-slip and play are slow to fit: only where the best model has such an effect.
-            candidates = [fit for fit in candidates if not is_nonsmooth(fit.effects) or is_nonsmooth(best.effects)]
-            if candidates and not self.out_of_time:
-                self.report("fitting the next best")
-                second = min(candidates, key=self.options.criterion)
-                try:
-                    if is_nonsmooth(second.effects) or fits is result.fits:
-                        return open_loop(second, self.whole)
-                    return fit_segments(second, self.whole, np.inf, self.options.stop())
-                except (SimulationDivergedError, InsufficientDataError):
-                    return None
-        return None
 
     def screen(self, fit: TrajectoryFit) -> FamilyTest:
         """Test the candidates beside a model.
@@ -349,9 +333,10 @@ class Search:
     ) -> tuple[TrajectoryFit, FamilyTest | None]:
         """Add effects to a model while they are needed; return it, and the score tests beside it.
 
-        None instead of tests where the model leaves only noise, so that none were made; with `small`, they always are.
+        None instead of tests where the model leaves only noise, or what a finer chain does not leave, so that none were
+        made; with `small`, they always are.
         """
-        while small or not self._explains_all(best, best):
+        while small or not (self._explains_all(best, best) or self._lacks_joints_only(best)):
             family = self.screen(best)
             self._first_tests = self._first_tests or family
             needed = self.needed(best, family) if len(best.new_effects) < self.options.max_effects else []
@@ -454,17 +439,28 @@ class Search:
         allowed = _NONSMOOTH_REST * (reduced.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
         return bool(fit.chi2 < fit.point.noise_limit + allowed)
 
+    def _lacks_joints_only(self, fit: TrajectoryFit) -> bool:
+        """Return True if only noise would be left of a finer chain, to first order."""
+        unknown = fit.shift is None and not is_nonsmooth(fit.effects) and fit.misfit < CLOSE_MISFIT
+        if not unknown or self.out_of_time:
+            return False
+        bias = first_order_bias(fit.point, self.rig)
+        return bias is not None and fit.chi2 - bias.decrease < fit.point.noise_limit
+
     def _matters(self, reduced: TrajectoryFit, full: TrajectoryFit) -> bool:
         gained = reduced.chi2 - full.chi2
         return bool(gained > self.least_decrease(reduced, gained))
 
-    def _backward_elimination(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
-        """Drop effects that the others make needless."""
-        for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
+    def _backward_elimination(self, fit: TrajectoryFit, fits: Fits, even_single: bool = False) -> TrajectoryFit:
+        """Drop effects that the others make needless; even a single one, where a linear model says so."""
+        for effect in fit.new_effects:
+            single = len(fit.new_effects) == 1
+            if single and not (even_single and predicted_increase(fit, effect) < 3 * self.least_decrease(fit)):
+                continue
             largest = fit.chi2 + max(self.options.least_share * fit.chi2, self.negligible(fit))
             reduced = self.refit_without(fit, effect, fits, largest)
             if reduced is not None and not self._matters(reduced, fit):
-                return self._backward_elimination(reduced, fits)
+                return self._backward_elimination(reduced, fits, even_single)
         return fit
 
     def refit_without(

@@ -27,7 +27,7 @@ class FirstOrderBias(NamedTuple):
     """Difference between a beam and a fitted chain, by one Gauss-Newton step beside that of their predictions."""
 
     shift: Array  # (p,) the beam's coordinates less the chain's
-    decrease: float  # of the cost, by what the chain's predictions lack
+    decrease: float  # of chi^2, by what the chain's predictions lack
 
 
 def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
@@ -40,7 +40,8 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
     coarse = with_offset(point, None)
     try:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
-        offset = [fine - run.predicted for fine, run in zip(predicted, coarse.runs, strict=True)]
+        factor = _extrapolation(point)
+        offset = [factor * (fine - run.predicted) for fine, run in zip(predicted, coarse.runs, strict=True)]
         free, change, decrease = ~point.held, np.zeros(point.x.size), 0.0
         for sign, shifted in ((1, with_offset(coarse, offset)), (-1, coarse)):
             problem = shifted.reduced()[0].of_unknowns(free)
@@ -48,8 +49,7 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
             decrease -= sign * problem.least
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    factor = _extrapolation(point)
-    return FirstOrderBias(factor * change, factor * decrease)
+    return FirstOrderBias(change, decrease)
 
 
 @dataclass(frozen=True)
