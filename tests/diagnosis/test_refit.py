@@ -714,3 +714,37 @@ def test_a_candidate_shows_the_residual_of_its_fit_as_far_as_that_says_something
     candidate = Candidate(ViscousFriction(link=0), 9.0, 0.0, {}, {})
     found = _with_residual(candidate, fit(misfit, runs), fit(9.0, 2))  # type: ignore[arg-type]
     assert (found.misfit, found.bound) == shown
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.02])
+def test_what_a_finer_chain_explains_calls_for_no_effect(coefficient: float) -> None:
+    """Large bends of a beam, and of a chain whose stiffness grows with them, by a chain of few joints."""
+    truth = (
+        Arm.of(chain_of(3), (CubicStiffness(link=0, coefficient=coefficient),)) if coefficient else Arm(chain_of(30))
+    )
+    fit = in_segments(recorded(truth, 1, factor=2.5))
+    search = selection.Search(RIG, fit, [], selection.SearchOptions(), lambda text: None)
+    assert fit.point.noise_limit < fit.chi2 < 4 * fit.point.expected_chi2
+    assert search._lacks_joints_only(fit) == (not coefficient)
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.02])
+def test_a_single_effect_is_dropped_where_a_linear_model_says_that_it_is_not_needed(coefficient: float) -> None:
+    cubic = CubicStiffness(link=0, coefficient=coefficient)
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (cubic,)), 1, factor=2.0)))
+    fit = refit(start, [replace(cubic, coefficient=0.01)])
+    assert fit is not None
+    search = selection.Search(RIG, start, [cubic], selection.SearchOptions(), lambda text: None)
+    fits = {fit.effect_keys: fit}
+    assert search._backward_elimination(fit, fits) is fit
+    assert len(search._backward_elimination(fit, fits, even_single=True).effects) == bool(coefficient)
+
+
+@pytest.mark.slow
+def test_no_effect_is_found_in_bends_so_large_that_eight_joints_leave_ten_times_the_noise() -> None:
+    start = TrajectoryFit(point_of(chain_of(8), (), recorded(Arm(chain_of(64)), 1, duration=4.0, factor=4.0)))
+    search = selection.Search(RIG, start, [CubicStiffness()], selection.SearchOptions(), lambda text: None)
+    result = search.run()
+    assert not result.best.effects
+    assert result.best.misfit == pytest.approx(1.0, abs=0.03)
+    assert not search.still_needed(result)
