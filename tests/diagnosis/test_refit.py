@@ -515,7 +515,7 @@ def test_one_of_two_sizes_may_be_at_its_bound_on_the_way_but_not_in_the_end(
     start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)))
     gravity = InPlaneGravity(gx=-30.0, gy=gy)
     fit = SimpleNamespace(new_effects=(gravity,), effects=(gravity,), chi2=0.9 * start.chi2)
-    monkeypatch.setattr(selection, "refit", lambda *_, **__: fit)
+    monkeypatch.setattr(candidate_fit, "refit", lambda *_, **__: fit)
     found = candidate_fit.refit_within_bounds(start, np.inf, np.inf, [gravity])
     assert found is (None if gy == 30.0 else fit)
     for name in ("is_determined", "predicts_better"):
@@ -553,7 +553,7 @@ def test_friction_is_not_fitted_again_where_nothing_is_to_be_had(
         fits.append(SimpleNamespace(new_effects=(truth,), chi2=misfit * start.chi2))
         return fits[-1]
 
-    monkeypatch.setattr(selection, "refit", refitted)
+    monkeypatch.setattr(candidate_fit, "refit", refitted)
     fit = candidate_fit.refit_within_bounds(start, np.inf, max_chi2 * start.chi2, [truth])
     assert [fit] == fits
 
