@@ -737,7 +737,7 @@ def test_a_single_effect_is_dropped_where_a_linear_model_says_that_it_is_not_nee
     search = selection.Search(RIG, start, [cubic], selection.SearchOptions(), lambda text: None)
     fits = {fit.effect_keys: fit}
     assert search._backward_elimination(fit, fits) is fit
-    assert len(search._backward_elimination(fit, fits, even_single=True).effects) == bool(coefficient)
+    assert len(search._backward_elimination(fit, fits, doubtful=True).effects) == bool(coefficient)
 
 
 @pytest.mark.slow

@@ -223,7 +223,7 @@ class Search:
             fit, fits = stages[-1]
         best = fits[fit.effect_keys] = corrected or fit
         if corrected is not None:  # an effect that stood in for the discretization error is not needed any more
-            best = self._backward_elimination(best, fits, even_single=True)
+            best = self._backward_elimination(best, fits, doubtful=True)
         best, family = self._forward_selection(best, fits, small=corrected is not None)
         stages[-1] = best, fits
         return best, fits, family or self.screen(best)
@@ -451,16 +451,15 @@ class Search:
         gained = reduced.chi2 - full.chi2
         return bool(gained > self.least_decrease(reduced, gained))
 
-    def _backward_elimination(self, fit: TrajectoryFit, fits: Fits, even_single: bool = False) -> TrajectoryFit:
-        """Drop effects that the others make needless; even a single one, where a linear model says so."""
-        for effect in fit.new_effects:
-            single = len(fit.new_effects) == 1
-            if single and not (even_single and predicted_increase(fit, effect) < 3 * self.least_decrease(fit)):
+    def _backward_elimination(self, fit: TrajectoryFit, fits: Fits, doubtful: bool = False) -> TrajectoryFit:
+        """Drop effects that the others make needless, or `doubtful` ones, which a linear model does without."""
+        for effect in fit.new_effects if doubtful or len(fit.new_effects) > 1 else ():
+            if doubtful and predicted_increase(fit, effect) > 3 * self.least_decrease(fit):
                 continue
             largest = fit.chi2 + max(self.options.least_share * fit.chi2, self.negligible(fit))
             reduced = self.refit_without(fit, effect, fits, largest)
             if reduced is not None and not self._matters(reduced, fit):
-                return self._backward_elimination(reduced, fits, even_single)
+                return self._backward_elimination(reduced, fits, doubtful)
         return fit
 
     def refit_without(
