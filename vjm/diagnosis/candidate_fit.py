@@ -460,9 +460,17 @@ def segments(observed: Observations, duration: float) -> tuple[Observations, ...
 def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
     """Return segments with the motion of their recordings before them, as last simulated segment by segment."""
     in_order = sorted(runs, key=lambda run: float(run.trajectory.time[0]))
-    motions = {file: _concatenate([run.trajectory for run in parts]) for file, parts in by_recording(in_order).items()}
-    preceding = PrecedingMotions.of(runs[0].chain, motions)
-    return [part if part.start is None else replace(part, preceding=preceding) for part in observed]
+    recordings = by_recording(in_order)
+    # Where an effect is absent from some recordings, so are the joints that it adds.
+    by_size = {parts[0].chain.size: parts[0].chain for parts in recordings.values()}
+    preceding: dict[str, PrecedingMotions] = {}
+    for size, chain in by_size.items():
+        together = {file: parts for file, parts in recordings.items() if parts[0].chain.size == size}
+        motions = {file: _concatenate([run.trajectory for run in parts]) for file, parts in together.items()}
+        preceding |= dict.fromkeys(motions, PrecedingMotions.of(chain, motions))
+    return [
+        part if part.start is None else replace(part, preceding=preceding[part.recording.file]) for part in observed
+    ]
 
 
 def _concatenate(paths: Sequence[Trajectory]) -> tuple[Array, Array, Array]:
