@@ -725,7 +725,7 @@ def test_what_a_finer_chain_explains_calls_for_no_effect(coefficient: float) -> 
     fit = in_segments(recorded(truth, 1, factor=2.5))
     search = selection.Search(RIG, fit, [], selection.SearchOptions(), lambda text: None)
     assert fit.point.noise_limit < fit.chi2 < 4 * fit.point.expected_chi2
-    assert search._lacks_joints_only(fit) == (not coefficient)
+    assert search._finer_chain_explains(fit) == (not coefficient)
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.02])
@@ -738,6 +738,19 @@ def test_a_single_effect_is_dropped_where_a_linear_model_says_that_it_is_not_nee
     fits = {fit.effect_keys: fit}
     assert search._backward_elimination(fit, fits) is fit
     assert len(search._backward_elimination(fit, fits, doubtful=True).effects) == bool(coefficient)
+
+
+def test_without_causes_the_best_minimum_found_is_the_model_of_the_report() -> None:
+    """And the deadline is the given one again when the last tests of candidates are made."""
+    start = TrajectoryFit(point_of(chain_of(4), (), recorded(Arm(chain_of(24)), 1)))
+    options = selection.SearchOptions(deadline=1e9)
+    search = selection.Search(RIG, start, [JointSpring()], options, lambda text: None)
+    best = search.run().best
+    assert not best.effects
+    assert best.chi2 < start.chi2 - 1
+    assert search.start is best
+    assert search.options.deadline == pytest.approx(options.deadline, abs=1e-3)
+    assert not search.stopped
 
 
 @pytest.mark.slow

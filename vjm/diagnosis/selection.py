@@ -195,7 +195,7 @@ class Search:
         if justified is not best:
             best, family = justified, self.screen(justified)
         if not best.new_effects and len(best.point.runs) == len(self.whole):
-            self.start = best  # which may be a better minimum
+            self.start = best  # beside the discretization error, or in a better minimum
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _continued(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -336,7 +336,7 @@ class Search:
         None instead of tests where the model leaves only noise, or what a finer chain does not leave, so that none were
         made; with `small`, they always are.
         """
-        while small or not (self._explains_all(best, best) or self._lacks_joints_only(best)):
+        while small or not (self._explains_all(best, best) or self._finer_chain_explains(best)):
             family = self.screen(best)
             self._first_tests = self._first_tests or family
             needed = self.needed(best, family) if len(best.new_effects) < self.options.max_effects else []
@@ -439,7 +439,7 @@ class Search:
         allowed = _NONSMOOTH_REST * (reduced.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
         return bool(fit.chi2 < fit.point.noise_limit + allowed)
 
-    def _lacks_joints_only(self, fit: TrajectoryFit) -> bool:
+    def _finer_chain_explains(self, fit: TrajectoryFit) -> bool:
         """Return True if only noise would be left of a finer chain, to first order."""
         unknown = fit.shift is None and not is_nonsmooth(fit.effects) and fit.misfit < CLOSE_MISFIT
         if not unknown or self.out_of_time:

@@ -202,7 +202,7 @@ class Arm:
     @cached_property
     def exposure_effects(self) -> tuple[Effect, ...]:
         """Effects on the instants at which the camera sees markers."""
-        return tuple(e for e in self.sensors if type(e).camera_instants is not Effect.camera_instants)
+        return tuple(effect for effect in self.sensors if type(effect).camera_instants is not Effect.camera_instants)
 
     @cached_property
     def timing_variance(self) -> float:

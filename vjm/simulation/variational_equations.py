@@ -454,9 +454,14 @@ def with_added_joints(
     added = _added_joints(chain, extended)
     if not added.size:
         return list(paths)
-    place = np.delete(np.arange(extended.size), added), extended.size
+    shared = np.delete(np.arange(extended.size), added)
     wider = [
-        replace(path, q=_widened(path.q, *place), v=_widened(path.v, *place), a=_widened(path.a, *place))
+        replace(
+            path,
+            q=_widened(path.q, shared, extended.size),
+            v=_widened(path.v, shared, extended.size),
+            a=_widened(path.a, shared, extended.size),
+        )
         for path in paths
     ]
     motion = Motions.of(wider, observed)
