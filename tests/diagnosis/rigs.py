@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from tests.simulation.integrators import simulate
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidate_fit import StoppingRule, fit_segments
+from vjm.diagnosis.candidate_fit import StoppingRule
 from vjm.diagnosis.noise import Noise
+from vjm.diagnosis.segments import fit_segments
 from vjm.effects import Effect
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
@@ -28,8 +30,16 @@ RIG = Rig("rig", (LINK,), marker_noise=NOISE[0], encoder_noise=NOISE[1])
 
 def first_seconds(recording: Recording, duration: float) -> Recording:
     """A recording's beginning, of a duration in s."""
-    first = recording.time <= recording.time[0] + duration
-    return replace(recording, **{name: getattr(recording, name)[first] for name in ("time", "markers", "theta", "tau")})
+    return _only(recording, recording.time <= recording.time[0] + duration)
+
+
+def last_seconds(recording: Recording, duration: float) -> Recording:
+    """A recording's end, of a duration in s."""
+    return _only(recording, recording.time >= recording.time[-1] - duration)
+
+
+def _only(recording: Recording, rows: NDArray[np.bool_]) -> Recording:
+    return replace(recording, **{name: getattr(recording, name)[rows] for name in ("time", "markers", "theta", "tau")})
 
 
 def chain_of(joints: int = 3) -> Chain:

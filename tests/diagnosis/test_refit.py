@@ -19,15 +19,14 @@ from vjm.diagnosis.candidate_fit import (
     StoppingRule,
     _multistart,
     continued,
-    fit_segments,
     information_of,
-    largest_chi2_in_longer,
     predicted_increase,
     refit,
 )
 from vjm.diagnosis.cross_validation import is_determined
 from vjm.diagnosis.diagnose import _with_residual
 from vjm.diagnosis.records import Candidate
+from vjm.diagnosis.segments import fit_segments, largest_chi2_in_longer
 from vjm.effects import (
     ActuatorLag,
     Backlash,
@@ -333,10 +332,10 @@ def test_no_multistart_is_repeated_where_the_steps_since_have_hardly_gained(monk
     start = in_segments(recorded(Arm.of(chain_of(), (friction, payload)), 1))
     calls: list[float] = []
 
-    def counted(point: Point, only_at_kinks: bool = False) -> tuple[Run, ...]:
+    def counted(point: Point, only_at_kinks: bool, deadline: float) -> tuple[Run, ...]:
         if not only_at_kinks:
             calls.append(point.chi2)
-        return _multistart(point, only_at_kinks)
+        return _multistart(point, only_at_kinks, deadline)
 
     monkeypatch.setattr(candidate_fit, "_multistart", counted)
     fit = refit(start, [friction])
@@ -456,8 +455,12 @@ def test_a_search_keeps_the_time_that_its_last_tests_of_candidates_take(monkeypa
     left = []
     for _ in range(3):
         search.screen(start)
-        left.append(search.options.deadline)
+        left.append(search.deadline)
     assert left == [1070.0, 1070.0, 1060.0]
+    part = replace(start, point=replace(start.point, runs=start.point.runs[:1]))  # half of the values
+    taken = iter([30.0])
+    search.screen(part)
+    assert search.deadline == 1040.0
     assert search.out_of_time
     assert search.stopped
 
@@ -749,7 +752,7 @@ def test_without_causes_the_best_minimum_found_is_the_model_of_the_report() -> N
     assert not best.effects
     assert best.chi2 < start.chi2 - 1
     assert search.start is best
-    assert search.options.deadline == pytest.approx(options.deadline, abs=1e-3)
+    assert search.deadline == pytest.approx(options.deadline, abs=1e-3)
     assert not search.stopped
 
 

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import vjm
-from tests.diagnosis.rigs import chain_of, first_seconds, in_segments, point_of, recorded
-from vjm.diagnosis.candidate_fit import StoppingRule, fit_segments, refit, segments
-from vjm.effects import ClampCompliance
+from tests.diagnosis.rigs import RIG, chain_of, first_seconds, point_of, recorded
+from tests.diagnosis.rigs import in_segments as fitted_in_segments
+from vjm.diagnosis.candidate_fit import StoppingRule, refit
+from vjm.diagnosis.segments import fit_all, fit_segments, fit_some, in_segments, segments, some_segments
+from vjm.diagnosis.selection import Search, SearchOptions
+from vjm.effects import ClampCompliance, CubicStiffness, TipPayload, ViscoelasticCreep
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE
 from vjm.simulation.arm import Arm
-from vjm.simulation.run import state_at
+from vjm.simulation.run import earlier_runs, state_at
 
 
 @pytest.mark.slow
@@ -48,7 +55,7 @@ def test_a_joint_that_only_some_recordings_have_is_followed_in_their_segments() 
     clamp = ClampCompliance(link=0, compliance=5e-3)
     without = recorded(Arm(chain_of()), 1, condition=REFERENCE)[0]
     changed = recorded(Arm.of(chain_of(), (clamp,)), 1)[1]
-    start = in_segments([without, changed])
+    start = fitted_in_segments([without, changed])
     fit = refit(start, [replace(clamp, compliance=2e-3)])
     assert fit is not None
     whole = point_of(chain_of(), (), [without, changed]).problem.observed
@@ -57,3 +64,76 @@ def test_a_joint_that_only_some_recordings_have_is_followed_in_their_segments() 
     assert len({run.chain.size for run in found.point.runs}) == 2
     assert found.misfit == pytest.approx(1.0, abs=0.03)
     assert found.effects[0].values["compliance"] == pytest.approx(clamp.compliance, rel=0.02)
+
+
+@given(
+    counts=st.lists(st.integers(1, 60), min_size=1, max_size=8),
+    share=st.floats(0.0, 1.5),
+    seed=st.integers(0, 9),
+)
+def test_some_segments_hold_the_values_asked_for_with_the_beginning_and_more_of_each_recording(
+    counts: list[int], share: float, seed: int
+) -> None:
+    files = [file for file, count in enumerate(counts) for _ in range(count)]
+    runs: list[Any] = [
+        SimpleNamespace(observed=SimpleNamespace(count=100, recording=SimpleNamespace(file=file))) for file in files
+    ]
+    chosen = some_segments(runs, 100 * share * len(runs), seed)
+    assert sorted(set(chosen)) == sorted(chosen)
+    assert len(chosen) >= min(share, 1.0) * len(runs) - 1e-9
+    if len(chosen) < len(runs):
+        assert len(chosen) <= len(runs) / 2
+    for file, count in enumerate(counts):
+        own = [k - files.index(file) for k in chosen if files[k] == file]
+        assert own[0] == 0
+        assert len(own) >= min(count, 2)
+
+
+def test_a_fit_to_some_segments_goes_on_in_all_of_them() -> None:
+    """With a memory, whose internal states follow the motion before a segment, in those not fitted as well."""
+    creep = ViscoelasticCreep(link=0, ratio=0.1, time_constant=0.4)
+    point = point_of(chain_of(), (), recorded(Arm.of(chain_of(), (creep,)), 1, duration=4.0))
+    whole, duration = point.problem.observed, point.problem.first_horizon(point.x) / 2
+    cut = in_segments(TrajectoryFit(point), whole, duration)
+    chosen = [k for k in range(len(cut.runs)) if k % 3 == 0]
+    start, cut = fit_some(cut, chosen, StoppingRule())
+    assert len(start.point.runs) == len(chosen)
+    some = refit(start, [replace(creep, ratio=0.05)])
+    assert some is not None
+    found = fit_all(some, cut, StoppingRule())
+    assert [run.observed.recording.time[0] for run in found.point.runs] == [
+        run.observed.recording.time[0] for run in cut.runs
+    ]
+    without = fit_segments(TrajectoryFit(point), whole, duration, StoppingRule())
+    everywhere = refit(without, [replace(creep, ratio=0.05)])
+    assert everywhere is not None
+    assert everywhere.misfit == pytest.approx(1.0, abs=0.03)
+    assert some.misfit == pytest.approx(1.0, abs=0.05)
+    assert found.chi2 == pytest.approx(everywhere.chi2, abs=0.003 * everywhere.chi2)
+    for fit in (some, found):
+        assert fit.effects[0].values["ratio"] == pytest.approx(creep.ratio, rel=0.25)
+
+
+def test_segments_that_do_not_follow_one_another_do_not_start_from_each_others_ends() -> None:
+    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1, duration=4.0))
+    duration = point.problem.first_horizon(point.x) / 2
+    runs = in_segments(TrajectoryFit(point), point.problem.observed, duration).runs
+    first, second, third = [run for run in runs if run.observed.recording.file == "drive_0.csv"][:3]
+    assert earlier_runs([first, second, third], third.observed) == [second]
+    assert earlier_runs([first, third], third.observed) == []
+
+
+def test_a_search_that_begins_with_some_segments_ends_with_whole_recordings() -> None:
+    """Of six seconds, a few segments show which effect is missing, and where the rest starts."""
+    payload = TipPayload(mass=0.01)
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(24), (payload,)), 2, duration=6.0)))
+    steps: list[str] = []
+    search = Search(RIG, start, [TipPayload(), CubicStiffness()], SearchOptions(), steps.append)
+    result = search.run()
+    (found,) = result.best.point.problem.effects_at(result.best.estimate)
+    assert found.values["mass"] == pytest.approx(payload.mass, rel=0.02)
+    assert steps.index("adding segments") < steps.index("lengthening segments")
+    assert len(result.best.point.runs) == len(search.whole)
+    assert result.best.misfit == pytest.approx(1.0, abs=0.03)
+    counts = [fit.point.count for fit in result.segment_fits.values()]
+    assert max(counts) < start.point.count / 2

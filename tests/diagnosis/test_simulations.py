@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
+from tests.diagnosis.rigs import NOISE, RIG, chain_of, last_seconds, point_of, recorded
 from tests.report.diagnoses import pair
 from vjm.diagnosis import simulations
 from vjm.diagnosis.records import Cause
 from vjm.diagnosis.simulations import open_loop, simulate_without_each_cause, with_holdout_gains
-from vjm.effects import BaseCompliance, Effect, GearElasticity, ViscousFriction
+from vjm.effects import Backlash, BaseCompliance, Effect, GearElasticity, ViscousFriction
 from vjm.errors import SimulationDivergedError
-from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import RecordingComparison
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
@@ -66,6 +66,34 @@ def test_a_fit_that_was_given_up_is_shown_from_its_most_likely_states() -> None:
     shown = open_loop(lost, lost.point.problem.observed)
     assert shown.misfit == pytest.approx(1.0, abs=0.05)
     assert np.array_equal(shown.point.x, lost.point.x)
+
+
+def test_after_the_deadline_a_state_is_the_one_that_its_search_began_with() -> None:
+    """And is not said to have converged."""
+    point = lost_fit().point
+    arms, observed = [run.arm for run in point.runs], point.problem.observed
+    stopped = fit_initial_states(arms, observed, point.states, deadline=-np.inf)
+    assert all(np.array_equal(run.state, state) for (run, _), state in zip(stopped, point.states, strict=True))
+    assert not any(converged for _, converged in stopped)
+    assert all(converged for _, converged in fit_initial_states(arms, observed, point.states))
+
+
+@pytest.mark.parametrize("deadline", [-np.inf, pytest.param(np.inf, marks=pytest.mark.slow)])
+def test_a_held_out_recording_with_play_begins_as_it_did_though_the_deadline_has_passed(deadline: float) -> None:
+    """On either flank, in the middle of a motion, of which its first periods tell."""
+    play = Backlash(link=0, gap=0.01)
+    later = last_seconds(recorded(Arm.of(chain_of(), (play,)), 1, duration=4.0)[1], 2.5)
+    point = point_of(chain_of(), (), [later])
+    problem = replace(point.problem, effects=(play,))
+    model = TrajectoryFit(Point(problem, np.r_[point.x, play.coordinates], ()))
+    ((run, _),) = simulations._simulate(model, problem.observed, deadline=deadline)
+    assert run.chi2 / run.expected_chi2 == pytest.approx(1.0, abs=0.1)
+
+
+def test_without_friction_or_play_a_held_out_recording_begins_where_it_did_whatever_the_time() -> None:
+    point = lost_fit().point
+    found = simulations._simulate(TrajectoryFit(point), point.problem.observed, deadline=-np.inf)
+    assert all(run.chi2 / run.expected_chi2 == pytest.approx(1.0, abs=0.1) for run, _ in found)
 
 
 def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> None:

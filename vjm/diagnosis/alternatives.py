@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import fit_segments, information_of, predicted_increase, starting_effect
+from vjm.diagnosis.candidate_fit import information_of, predicted_increase, starting_effect
 from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
+from vjm.diagnosis.segments import fit_segments
 from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
 from vjm.diagnosis.simulations import open_loop
 from vjm.effects import Effect
@@ -68,8 +69,8 @@ def find_next_best(result: SearchResult, search: Search) -> TrajectoryFit | None
             second = min(candidates, key=search.options.criterion)
             try:
                 if is_nonsmooth(second.effects) or fits is result.fits:
-                    return open_loop(second, search.whole)
-                return fit_segments(second, search.whole, np.inf, search.options.stop())
+                    return open_loop(second, search.whole, search.deadline)
+                return fit_segments(second, search.whole, np.inf, search.stop())
             except (SimulationDivergedError, InsufficientDataError):
                 return None
     return None

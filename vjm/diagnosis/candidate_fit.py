@@ -26,10 +26,8 @@ from vjm.identification.trajectory_method import hides_fast_modes, search_step_m
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import FEW_TRIALS, damped_states, fit_initial_states
-from vjm.simulation.measurement import Observations, PrecedingMotions
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run, by_recording, earlier_runs, is_followed, linearize_by_states, state_at
-from vjm.simulation.system import Trajectory
+from vjm.simulation.run import Run, earlier_runs, is_followed, linearize_by_states, state_at
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
 LEAST_SHARE = 0.0025  # of chi^2: what an effect explains from which it matters (`SearchOptions.least_share`)
@@ -129,7 +127,7 @@ def refit(
     Returns:
         The fit; None if the model cannot be simulated, not even with new effects of an eighth of their size.
     """
-    known = {effect.key for effect in start.effects}
+    known, stop = {effect.key for effect in start.effects}, StoppingRule() if stop is None else stop
     for share in (1.0, 0.5, 0.25, 0.125):  # a linear estimate may be too large to be simulated
         sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
         problem = replace(start.point.problem, effects=tuple(sized))
@@ -146,11 +144,11 @@ def refit(
             states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
             try:
                 if states_first:
-                    states = _initial_states(problem, x, states)
-                fit = _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
+                    states = [run.state for run in likely_runs(problem, x, states, stop.deadline)]
+                fit = fit_accurately(problem, x, states, stop)
                 # Beside the discretization error, a new effect is as beside a beam; without it, all are biased anew.
                 corrected = all(run.observed.discretization_offset is not None for run in fit.point.runs)
-                return replace(fit, shift=_transferred_shift(start, fit) if corrected else None)
+                return replace(fit, shift=transferred_shift(start, fit) if corrected else None)
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
@@ -177,7 +175,7 @@ def refit_within_bounds(
     return None if fit is None or any(all(effect.at_bounds) for effect in fit.new_effects) else fit
 
 
-def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
+def transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
     """Return a model's discretization shift (p,) by that of one with other effects: zero for new effects.
 
     None where it is not known, or is in other coordinates, since an effect was recentred.
@@ -207,7 +205,8 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
         return fit
     fit = _better_from(point, fit, deadline)
     if sticking and monotonic() <= deadline:
-        fit = _better_from(replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True)), fit, deadline)
+        beyond = _multistart(fit.point, True, deadline)
+        fit = _better_from(replace(fit.point, runs=beyond), fit, deadline)
     bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
 
@@ -250,7 +249,7 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
     return best
 
 
-def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
+def fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
     """Fit as `_fit_recentred`, and again with shorter integrator steps where these were too long.
 
     Steps that are accurate enough beside the residual of a poor fit may be too long once the fit is good: they hide
@@ -313,7 +312,7 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
             return replace(fit, point=replace(fit.point, problem=problem))
         # The last multistart was at nearly the same coordinates where the steps since then have hardly gained.
         repeated = nonsmooth and before - fit.chi2 < _stall_decrease(fit.point)
-        point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=repeated))
+        point = replace(fit.point, runs=_multistart(fit.point, repeated, stop.deadline))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         hopeless = stays_above(point, gained, stop.max_chi2)  # as each round of steps and multistart gains less
         if gained < _stall_decrease(point) or hopeless:
@@ -321,7 +320,7 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         before, x, states = point.chi2, point.x, point.states
 
 
-def _multistart(point: Point, only_at_kinks: bool = False) -> tuple[Run, ...]:
+def _multistart(point: Point, only_at_kinks: bool = False, deadline: float = np.inf) -> tuple[Run, ...]:
     """Return a point's runs, those of poorly fitted segments from the best of several initial states.
 
     Tried are the present state; the same with the active joints at rest; the final state of the preceding segment or,
@@ -332,6 +331,7 @@ def _multistart(point: Point, only_at_kinks: bool = False) -> tuple[Run, ...]:
     Args:
         point: where the search has ended.
         only_at_kinks: True to leave out all but the last.
+        deadline: as of `fit_initial_states`.
     """
     best, trials = [*point.runs], _states_beyond_kinks(point)
     # With wrong parameters all segments fit poorly: the reduced chi^2 that the best quarter stays below is the measure.
@@ -357,7 +357,8 @@ def _multistart(point: Point, only_at_kinks: bool = False) -> tuple[Run, ...]:
             [observed[k] for k in indices],
             states,
             point.problem.step_multiple,
-            max_trials=FEW_TRIALS,
+            FEW_TRIALS,
+            deadline,
         )
     except SimulationDivergedError:
         return point.runs
@@ -379,104 +380,24 @@ def _states_beyond_kinks(point: Point) -> list[tuple[int, Array]]:
     return states
 
 
-def fit_segments(
-    fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop: StoppingRule
-) -> TrajectoryFit:
-    """Fit a model to segments of recordings, each with its own initial state (multiple shooting without continuity).
+def likely_runs(problem: TrajectoryProblem, x: Array, states: Sequence[Array], deadline: float = np.inf) -> list[Run]:
+    """Return runs of segments from their most likely initial states, looked for from given ones (2 nv,).
 
-    Over one or two periods even a wrong model stays in phase: gradients lead to the minimum from far away (Bock,
-    Recent advances in parameter identification techniques for O.D.E., 1983; Ribeiro et al., Automatica 121, 2020).
-    Segments tell less of frequencies than whole recordings do.
-
-    Args:
-        fit: a fit to other segments of the same recordings, or to the whole recordings, to start from.
-        whole: the recordings.
-        duration: duration of a segment [s]; infinite: whole recordings.
-        stop: stopping rule.
-
-    Raises:
-        SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
-    """
-    observed = [part for recording in whole for part in segments(recording, duration)]
-    if len(fit.point.runs) != len(whole):
-        observed = _with_preceding_motion(observed, fit.point.runs)
-    problem = replace(fit.point.problem, observed=tuple(observed))
-    states = [state_at(fit.point.runs, part) for part in observed]
-    if len(fit.point.runs) == len(whole):
-        states = _initial_states(problem, fit.point.x, states)
-    fitted = _fit_accurately(problem, fit.point.x, states, stop)
-    # For effects with memory in later fits: their internal states follow the motion fitted here up to each segment.
-    observed = _with_preceding_motion([run.observed for run in fitted.point.runs], fitted.point.runs)
-    runs = [replace(run, observed=part) for run, part in zip(fitted.point.runs, observed, strict=True)]
-    problem = replace(fitted.point.problem, observed=tuple(observed))
-    point = Point(problem, fitted.point.x, tuple(runs))
-    return replace(fitted, point=point, shift=_transferred_shift(fit, fitted))
-
-
-def largest_chi2_in_longer(shorter: TrajectoryFit, whole: Sequence[Observations], duration: float) -> float:
-    """Return the chi^2 up to which a model leaves no more than noise of longer segments, as of `fit_segments`.
-
-    The initial states that fewer segments do without took up noise: a chi^2 of as many degrees of freedom at most. What
-    more there is comes of stick-slip or play in the longer segments, of which the search has missed the best minimum.
-    """
-    unknowns = np.mean([run.basis.states.shape[1] for run in shorter.point.runs])  # of a segment's initial state
-    freedom = unknowns * max(0, len(shorter.point.runs) - sum(len(segments(each, duration)) for each in whole))
-    return float(shorter.chi2 + freedom + 5 * np.sqrt(2 * freedom))
-
-
-def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:
-    """Estimate initial states (2 nv,) of segments, starting from the simulation of the whole recordings.
-
-    Where that has drifted too far from the recording for the search to follow it, start from rest as well.
+    Where these are too far from the recording for the search to follow it, it starts from rest as well.
     """
     arms, observed = problem.arms(x), problem.observed
-    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, max_trials=FEW_TRIALS)]
-    poor = [k for k, run in enumerate(runs) if not is_followed([run])]
+    multiple = problem.step_multiple
+    runs = [run for run, _ in fit_initial_states(arms, observed, states, multiple, FEW_TRIALS, deadline)]
+    poor = [k for k, run in enumerate(runs) if not is_followed([run]) and monotonic() <= deadline]
     if poor:
         resting = fit_initial_states(
             [arms[k] for k in poor],
             [observed[k] for k in poor],
             None,
-            problem.step_multiple,
-            max_trials=2 * FEW_TRIALS,
+            multiple,
+            2 * FEW_TRIALS,
+            deadline,
         )
         for k, (run, _) in zip(poor, resting, strict=True):
             runs[k] = min(runs[k], run, key=lambda run: run.cost)
-    return [run.state for run in runs]
-
-
-def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:
-    """Cut a recording into segments of a duration [s].
-
-    A quiet recording of a clamped arm stays whole: it cannot get out of phase. With active joints it is cut, as an
-    error of the torque lets a joint that stood still turn ever faster in the simulation.
-    """
-    cannot_drift = observed.recording.kind == "quiet" and not observed.recording.theta.shape[1]
-    if cannot_drift or not np.isfinite(duration):
-        return (observed,)
-    return observed.segments(duration, 0.1 * duration)  # overlap, for sensors that are early or late
-
-
-def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
-    """Return segments with the motion of their recordings before them, as last simulated segment by segment."""
-    in_order = sorted(runs, key=lambda run: float(run.trajectory.time[0]))
-    recordings = by_recording(in_order)
-    # Where an effect is absent from some recordings, so are the joints that it adds.
-    by_size = {parts[0].chain.size: parts[0].chain for parts in recordings.values()}
-    preceding: dict[str, PrecedingMotions] = {}
-    for size, chain in by_size.items():
-        together = {file: parts for file, parts in recordings.items() if parts[0].chain.size == size}
-        motions = {file: _concatenate([run.trajectory for run in parts]) for file, parts in together.items()}
-        preceding |= dict.fromkeys(motions, PrecedingMotions.of(chain, motions))
-    return [
-        part if part.start is None else replace(part, preceding=preceding[part.recording.file]) for part in observed
-    ]
-
-
-def _concatenate(paths: Sequence[Trajectory]) -> tuple[Array, Array, Array]:
-    """Concatenate the trajectories of a recording's segments, each up to where the next begins: times, q and v."""
-    ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
-    shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
-    time = np.concatenate([path.elapsed(path.time)[shown_part] for path, shown_part in shown])
-    q, v = (np.concatenate([getattr(path, name)[shown_part] for path, shown_part in shown]) for name in ("q", "v"))
-    return time, q, v
+    return runs

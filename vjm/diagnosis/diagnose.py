@@ -20,7 +20,6 @@ from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.reference import add_changed_recordings, find_preexisting_effects
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
-from vjm.diagnosis.screen import CandidateSet
 from vjm.diagnosis.selection import Search, SearchOptions, SearchResult
 from vjm.diagnosis.simulations import (
     open_loop,
@@ -104,16 +103,15 @@ def diagnose(
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
         stopped = search.stopped
-        search.options = replace(options, deadline=began + 0.875 * seconds)
+        search.deadline = began + 0.875 * seconds
         # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
         # recordings, and otherwise in these, which show more.
         tested = result.first_tests if result.best.effects else result.last_tests
-        untestable = CandidateSet.of(chosen, experiment.rig, search.recordings, search.start.point.runs).untestable
         table = tested.table(options.alpha, options.negligible(min(search.start.chi2, search.start.point.count)))
         findings = replace(
-            _findings(experiment, baseline, reference_misfit, search, result),
+            _findings(experiment, baseline, reference_misfit, search, result, began + seconds),
             # Last, since the search for alternatives fits single candidates too.
-            candidates=(*_with_residuals(table, search.start, result), *untestable),
+            candidates=_with_residuals(table, search.start, result),
             insufficient=insufficient,
             warnings=(*likely, *experiment.warnings, *baseline.problems, warning),
         )
@@ -162,17 +160,25 @@ def _default_budget(experiment: Experiment, jobs: int) -> float:
 
 
 def _findings(
-    experiment: Experiment, baseline: Baseline, reference_misfit: float, search: Search, result: SearchResult
+    experiment: Experiment,
+    baseline: Baseline,
+    reference_misfit: float,
+    search: Search,
+    result: SearchResult,
+    deadline: float,
 ) -> Diagnosis:
-    """Take the steps that follow the search, and collect what they and those before have found."""
+    """Take the steps that follow the search, and collect what they and those before have found.
+
+    Simulations of recordings are improved until the deadline, a reading of `time.monotonic` [s].
+    """
     best, rig, noise = result.best, experiment.rig, baseline.fit.point.runs[0].observed.noise
-    after, before = (open_loop(fit, search.whole) for fit in (best, search.start))
+    after, before = (open_loop(fit, search.whole, search.deadline) for fit in (best, search.start))
     search.report("testing alternatives")
     alternatives = find_alternatives(result, search)
     causes = estimate_causes(result, search, alternatives, reference_misfit, information_of(best).covariance)
     search.report("simulating the recordings")
     next_best = find_next_best(result, search)
-    recordings = simulate_recordings(experiment, noise, before, after, next_best)
+    recordings = simulate_recordings(experiment, noise, before, after, next_best, deadline)
     model, reference = model_of(best, rig, noise), model_of(search.start, rig, noise)
     causes = ranked(with_holdout_gains(rig, causes, recordings, best, result.fits))
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
@@ -212,7 +218,7 @@ def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> li
     """Return the fits with alternatives in a cause's place, in whole recordings."""
     other_keys = result.best.effect_keys - {cause.effect.key}
     models = [other_keys | {alternative.effect.key} for alternative in cause.alternatives]
-    return [open_loop(result.fits[keys], search.whole) for keys in models if keys in result.fits]
+    return [open_loop(result.fits[keys], search.whole, search.deadline) for keys in models if keys in result.fits]
 
 
 def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:
@@ -234,7 +240,8 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
     if longest < max(float(np.ptp(run.observed.recording.time)) for run in search.start.point.runs):
         reason = "dry friction or backlash" if is_nonsmooth(best.effects) else "a discretization error that grows"
         notes.append(
-            f"{reason}: fitted to segments of {number(longest, 2)} s, each with its own initial state; "
+            f"{reason}: fitted to {len(best.point.runs)} segments of {number(longest, 2)} s, each with its own initial "
+            "state; "
             "residuals and parameters are of segments, simulated recordings and gain are open loop over whole "
             "recordings"
         )

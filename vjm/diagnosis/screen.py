@@ -11,10 +11,10 @@ noise that correlates as the candidates do (minP: Westfall and Young, Resampling
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Self
 
 import numpy as np
@@ -109,6 +109,20 @@ class Screen:
         for k in order:
             first.setdefault(self.effects[k].key, k)
         return list(first.values())
+
+    def best_pairs(self, count: int, without: Collection[Key]) -> list[list[int]]:
+        """Return the pairs of variants with the largest joint score statistics, one for each two effects and places.
+
+        Args:
+            count: number of pairs at most.
+            without: keys of effects that are left out.
+        """
+        allowed = [k for k, effect in enumerate(self.effects) if effect.key not in without]
+        pairs = [[j, i] for i, j in combinations(allowed, 2) if self.effects[i].key != self.effects[j].key]
+        chosen: dict[frozenset[Key], list[int]] = {}
+        for pair in sorted(pairs, key=lambda pair: (self.decrease(pair), pair), reverse=True):
+            chosen.setdefault(frozenset(self.effects[k].key for k in pair), pair)
+        return [*chosen.values()][:count]
 
     def best_sizes(self, chosen: Sequence[int]) -> Array:
         """Return the best sizes (s,) of some effects together, in units of their typical magnitudes."""
@@ -403,11 +417,13 @@ class FamilyTest:
         screen: the score tests.
         multiplicity: (V,) as of `CandidateSet`.
         tests: effective number of tests: independent ones that the search amounts to.
+        untestable: effects that the recordings cannot show.
     """
 
     screen: Screen
     multiplicity: Array
     tests: float
+    untestable: tuple[Candidate, ...] = ()
 
     @classmethod
     def of(cls, screen: Screen, multiplicity: Array, alpha: float, seed: int) -> FamilyTest:
@@ -450,7 +466,7 @@ class FamilyTest:
         return np.asarray(np.sqrt(stats.chi2.isf(tail, self.screen.magnitude_counts)))
 
     def table(self, alpha: float, least_decrease: float) -> tuple[Candidate, ...]:
-        """List the effects that were tested, the most needed first.
+        """List the effects that were tested, the most needed first, then those that cannot be.
 
         Args:
             alpha: significance level of the search.
@@ -474,7 +490,7 @@ class FamilyTest:
                 smallest[parameter.name] = value if parameter.reciprocal else abs(value - parameter.null)
             guessed = {parameter.name: float(guess[parameter.name]) for parameter in sizes}
             rows.append(Candidate(effect, float(np.sqrt(screen.statistics[k])), float(p[k]), guessed, smallest))
-        return tuple(rows)
+        return (*rows, *self.untestable)
 
 
 def _sidak(p: Array, count: Array | float) -> Array:

@@ -23,8 +23,6 @@ from vjm.diagnosis.candidate_fit import (
     LEAST_SHARE,
     StoppingRule,
     continued,
-    fit_segments,
-    largest_chi2_in_longer,
     predicted_increase,
     refit,
     refit_other_frequencies,
@@ -33,12 +31,21 @@ from vjm.diagnosis.candidate_fit import (
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
+from vjm.diagnosis.segments import (
+    fit_all,
+    fit_segments,
+    fit_some,
+    in_segments,
+    largest_chi2_in_all,
+    largest_chi2_in_longer,
+    some_segments,
+)
 from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import first_order_bias, refined
-from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Array, Rig
 from vjm.simulation.run import all_followed
 from vjm.text import ratio
@@ -68,15 +75,6 @@ class SearchOptions:
     max_effects: int = 3
     seed: int = 0
     deadline: float = np.inf
-
-    @property
-    def exhausted(self) -> bool:
-        """True after the deadline."""
-        return monotonic() > self.deadline
-
-    def stop(self, max_chi2: float = np.inf) -> StoppingRule:
-        """Return the stopping rule of a fit whose chi^2 must come below a bound."""
-        return StoppingRule(max_chi2, deadline=self.deadline)
 
     def criterion(self, fit: TrajectoryFit) -> float:
         """Return chi^2 of a model, larger for each free parameter of its effects: rivals are ranked by it."""
@@ -122,6 +120,8 @@ class Search:
         unfinished: ids of effects whose fits were wanted when the deadline came.
         unjustified: ids of effects that were dropped, since the recordings do not determine them or are predicted no
             better with them.
+        deadline: reading of `time.monotonic` after which nothing more is fitted [s]: that of the options, before which
+            the last tests of candidates must be made.
         stopped: True if the deadline came before the search was done.
     """
 
@@ -141,22 +141,28 @@ class Search:
         self.p_values: dict[Key, float] = {}
         self.unfinished: set[str] = set()
         self.unjustified: list[str] = []
-        self.stopped = False
-        self._testing = 0.0  # what tests of candidates take [s]
+        self.deadline, self.stopped = options.deadline, False
+        self._cut: Point | None = None  # all segments, where the search begins with some of them
         self._decreases: dict[Key, float] = {}
         self._first_tests: FamilyTest | None = None  # beside the model without effects
 
     @property
     def out_of_time(self) -> bool:
         """True after the deadline, which is noted: what asks has something left to do."""
-        self.stopped = self.stopped or self.options.exhausted
-        return self.options.exhausted
+        exhausted = monotonic() > self.deadline
+        self.stopped = self.stopped or exhausted
+        return exhausted
+
+    def stop(self, max_chi2: float = np.inf) -> StoppingRule:
+        """Return the stopping rule of a fit whose chi^2 must come below a bound."""
+        return StoppingRule(max_chi2, deadline=self.deadline)
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
         # Where the discretization error is known, what is missing is small, and shows most in whole recordings.
         whole = self.start.shift is not None
-        best, durations = (self.start, []) if whole else (self._fit_segments_without_effects(), self._durations()[1:])
+        best, durations = (self.start, []) if whole else (self._fit_segments_without_effects(), self._durations())
+        durations = durations if self._cut else durations[1:]
         fits = segment_fits = {best.effect_keys: best}
         best, family = self._forward_selection(best, fits, small=whole)
         stages = [(best, fits)]
@@ -166,7 +172,8 @@ class Search:
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
             # is in none in these, within a standard error, will not find one in longer ones.
             settled = best.converged or best.predicted_decrease < 1.0
-            if is_nonsmooth(best.effects) and not (settled and self._explains_all(best, best)):
+            lengthened = settled and self._explains_all(best, best)
+            if is_nonsmooth(best.effects) and self._cut_into(duration) is None and not lengthened:
                 break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:  # what is small in these segments may be what longer ones lack
@@ -185,9 +192,9 @@ class Search:
                 break
         if family is None:
             best, fits, family = self._select_small(stages)
-        self.options = replace(self.options, deadline=self.options.deadline + self._testing)  # the last tests are made
+        self.deadline = self.options.deadline  # the last tests are made
         best = fits[best.effect_keys] = self._continued(best)
-        again = corrected_again(best, self.rig, self.options.deadline) if whole and best.new_effects else None
+        again = corrected_again(best, self.rig, self.deadline) if whole and best.new_effects else None
         if again is not None:  # fits beside another discretization error are not to be compared with it
             best, fits = again, {again.effect_keys: again}
             family = self.screen(best)
@@ -202,7 +209,7 @@ class Search:
         if not fit.new_effects or self.out_of_time:
             return fit
         self.report("converging")
-        return continued(fit, self.rig, self.options.deadline)
+        return continued(fit, self.rig, self.deadline)
 
     def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
         """Add small effects that are needed beside a model corrected for its chain's discretization error.
@@ -251,21 +258,33 @@ class Search:
         return SearchResult(base, family, family)
 
     def _fit_segments_without_effects(self) -> TrajectoryFit:
-        """Fit the model without effects to the shortest segments; start from nominal values too if it fits poorly."""
+        """Fit the model without effects to the shortest segments; start from nominal values too if it fits poorly.
+
+        To some of them, if these hold as many values as it takes to find whatever matters.
+        """
         self.report("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
-        base = fit_segments(self.start, self.whole, duration, self.options.stop())
-        if all_followed(base.point.runs):
-            return base
-        try:
+        cut = in_segments(self.start, self.whole, duration)
+        # What takes off a share of chi^2 has a z of at least the root of that share of the values. This one is beyond
+        # Bonferroni's bound for one test of each effect, with a probability of 90 %.
+        z = norm.isf(self.options.alpha / max(len(self.effects), 1) / 2) + norm.ppf(0.9)
+        chosen = some_segments(cut.runs, z**2 / LEAST_SHARE, self.options.seed)
+        base, cut = fit_some(cut, chosen, self.stop())
+        if not all_followed(base.point.runs):
             x = self.start.point.x.copy()
             x[: len(problem.parametrisation.coordinates)] = problem.parametrisation.start
-            from_nominal = fit_segments(
-                replace(self.start, point=problem.point(x)), self.whole, duration, self.options.stop(base.chi2)
-            )
-        except (SimulationDivergedError, InsufficientDataError):
-            return base
-        return min(base, from_nominal, key=lambda fit: fit.chi2)
+            try:
+                nominal = in_segments(replace(self.start, point=problem.point(x)), self.whole, duration)
+                from_nominal, nominal = fit_some(nominal, chosen, self.stop(base.chi2))
+                base, cut = min([(base, cut), (from_nominal, nominal)], key=lambda pair: pair[0].chi2)
+            except (SimulationDivergedError, InsufficientDataError):
+                pass
+        self._cut = cut if len(chosen) < len(cut.runs) else None
+        return base
+
+    def _cut_into(self, duration: float) -> Point | None:
+        """Return all segments of a duration, where the search has begun with some of them."""
+        return self._cut if duration == self._durations()[0] else None
 
     def screen(self, fit: TrajectoryFit) -> FamilyTest:
         """Test the candidates beside a model.
@@ -273,15 +292,13 @@ class Search:
         A search ends with these tests: the time that they take is kept for that.
         """
         self.report("testing candidates")
-        began = monotonic()
+        began, share = monotonic(), fit.point.count / self.start.point.count
         candidates = CandidateSet.of(self.effects, self.rig, self.recordings, fit.point.runs)
         absent = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.effect_keys]
         screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in absent], self.workers)
         family = FamilyTest.of(screened, candidates.multiplicity[absent], self.options.alpha, self.options.seed)
-        longer = max(0.0, monotonic() - began - self._testing)
-        self._testing += longer
-        self.options = replace(self.options, deadline=self.options.deadline - longer)
-        return family
+        self.deadline = min(self.deadline, self.options.deadline - (monotonic() - began) / share)
+        return replace(family, untestable=candidates.untestable)
 
     def negligible(self, fit: TrajectoryFit) -> float:
         """Return the chi^2 that a model may leave beyond noise: a share of what remains, as large causes come first.
@@ -384,7 +401,7 @@ class Search:
                 return trial
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
         if trial is not None and any(effect.adds_joint(best.point.chain) for effect in added):
-            trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.options.deadline)
+            trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.deadline)
         if base is not None and len(best.new_effects) == 1 and not self._explains_all(trial, best):
             trial = self._best_fit(base, self._pairs(base, best), trial, fits)
         return trial
@@ -417,7 +434,7 @@ class Search:
                 self.report(
                     f"fitting {names}, residual {ratio(min(fit.misfit for fit in (start, *fits.values())))} × noise"
                 )
-                trials = self.workers.map(partial(refit_within_bounds, start, self.options.deadline, max_chi2), untried)
+                trials = self.workers.map(partial(refit_within_bounds, start, self.deadline, max_chi2), untried)
                 fits |= {trial.effect_keys: trial for trial in trials if trial is not None}
             if self.out_of_time:
                 self.unfinished |= set(added)
@@ -483,7 +500,7 @@ class Search:
         sufficient = known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
         if sufficient or self.out_of_time:
             return known
-        reduced = refit(fit, remaining, self.options.stop(max_chi2))
+        reduced = refit(fit, remaining, self.stop(max_chi2))
         best = min(filter(None, (reduced, known)), key=lambda fit: fit.chi2, default=None)
         if best is not None:
             fits[best.effect_keys] = best
@@ -493,35 +510,29 @@ class Search:
         """Return the two pairs of effects with the largest joint score statistics, without the best single effect."""
         if self._first_tests is None:
             return []
-        screened = self._first_tests.screen
-        absent = [k for k, effect in enumerate(screened.effects) if effect.key not in best.effect_keys]
-        scored = [
-            (screened.decrease([i, j]), i, j)
-            for position, i in enumerate(absent)
-            for j in absent[:position]
-            if screened.effects[i].key != screened.effects[j].key
-        ]
-        chosen: dict[frozenset[Key], list[int]] = {}
-        for _, i, j in sorted(scored, reverse=True):
-            chosen.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
-        return [self._with_candidates(base, self._first_tests, pair) for pair in [*chosen.values()][:2]]
+        pairs = self._first_tests.screen.best_pairs(2, best.effect_keys)
+        return [self._with_candidates(base, self._first_tests, pair) for pair in pairs]
 
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
-        """Fit a model to longer segments; None where it fits them much worse than the shorter ones.
+        """Fit a model to longer segments, or to all of the first ones; None where it fits them much worse.
 
         With stick-slip or play also None where it leaves more than noise of them, and after the deadline always.
         """
         if self.out_of_time:
             return None
-        self.report("lengthening segments")
+        cut, nonsmooth, max_chi2 = self._cut_into(duration), is_nonsmooth(fit.effects), np.inf
+        self.report("lengthening segments" if cut is None else "adding segments")
         try:
-            nonsmooth = is_nonsmooth(fit.effects)
-            max_chi2 = largest_chi2_in_longer(fit, self.whole, duration) if nonsmooth else np.inf
-            longer = fit_segments(fit, self.whole, duration, self.options.stop(max_chi2))
+            if cut is None:
+                max_chi2 = largest_chi2_in_longer(fit, self.whole, duration) if nonsmooth else np.inf
+                longer = fit_segments(fit, self.whole, duration, self.stop(max_chi2))
+            else:
+                max_chi2 = largest_chi2_in_all(fit, cut) if nonsmooth else np.inf
+                longer = fit_all(fit, cut, self.stop(max_chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if longer.chi2 > max_chi2:  # without what its chain's discretization error adds, which grows with the duration
-            bias = first_order_bias(longer.point, self.rig)
+            bias = None if self.out_of_time else first_order_bias(longer.point, self.rig)
             if bias is None or longer.chi2 - bias.decrease > max_chi2:
                 return None
         return None if longer.misfit > INCOMPLETE_MISFIT * max(1.0, fit.misfit) else longer
@@ -562,7 +573,7 @@ class Search:
         if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.out_of_time:
             return fit
         self.report("refining the chain")
-        finer = refined(fit, self.rig, self.options.stop(fit.point.noise_limit))
+        finer = refined(fit, self.rig, self.stop(fit.point.noise_limit))
         if finer is None or not self._explains_all(finer, reduced):
             return fit
         fits[finer.effect_keys] = finer
@@ -576,7 +587,7 @@ class Search:
         if is_nonsmooth(fit.effects):
             return fit
         self.report("measuring the discretization error")
-        return corrected_for_discretization(fit, self.rig, self.options.deadline)
+        return corrected_for_discretization(fit, self.rig, self.deadline)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from time import monotonic
 
 import numpy as np
 
@@ -22,8 +23,8 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, all_followed, state_at
 
 
-def open_loop(fit: TrajectoryFit, whole: Sequence[Observations]) -> TrajectoryFit:
-    """Return a model in whole recordings, from their most likely initial states.
+def open_loop(fit: TrajectoryFit, whole: Sequence[Observations], deadline: float = np.inf) -> TrajectoryFit:
+    """Return a model in whole recordings, from their most likely initial states, as far as known at the deadline.
 
     These are known where it was fitted to whole recordings and follows them: a fit that does not is given up for one in
     segments, wherever its states are then. Recordings that it cannot be simulated over are left out. With stick-slip or
@@ -41,7 +42,8 @@ def open_loop(fit: TrajectoryFit, whole: Sequence[Observations]) -> TrajectoryFi
         states = None if fitted else [state_at(fit.point.runs, whole[k]) for k in chosen]
         early = states is not None and is_nonsmooth(fit.effects)
         observed = [whole[k] for k in chosen]
-        runs = [run for run, _ in _simulate(fit, observed, states, FEW_TRIALS if early else MOST_TRIALS)]
+        trials = FEW_TRIALS if early else MOST_TRIALS
+        runs = [run for run, _ in _simulate(fit, observed, states, trials, deadline)]
         if not fitted:
             return runs
         return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known(chosen), strict=True)]
@@ -65,15 +67,17 @@ def simulate_recordings(
     reference: TrajectoryFit,
     best: TrajectoryFit,
     next_best: TrajectoryFit | None,
+    deadline: float = np.inf,
 ) -> tuple[RecordingComparison, ...]:
     """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
 
-    Recordings that were fitted have been simulated.
+    Recordings that were fitted have been simulated. Arguments as of `_simulate`.
     """
     known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
     unfitted = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
     observed, by_best = replay_without_outliers(
-        partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in unfitted]
+        partial(_simulate, best, deadline=deadline),
+        [Observations.of(experiment.rig, recording, noise) for recording in unfitted],
     )
     recordings = known | {observation.recording.file: observation.recording for observation in observed}
 
@@ -81,7 +85,7 @@ def simulate_recordings(
         if model is None:
             return {}
         fitted = [(run, True) for run in model.point.runs]
-        replays = by_best if model is best else replay_each(partial(_simulate, model), observed)
+        replays = by_best if model is best else replay_each(partial(_simulate, model, deadline=deadline), observed)
         runs = [result for result in (*fitted, *replays) if not isinstance(result, str)]
         return {run.observed.recording.file: run.simulated_recording(converged) for run, converged in runs}
 
@@ -144,9 +148,41 @@ def _simulate(
     observed: Sequence[Observations],
     states: Sequence[Array | None] | None = None,
     max_trials: int = MOST_TRIALS,
+    deadline: float = np.inf,
 ) -> list[tuple[Run, bool]]:
-    """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
-    return fit_initial_states(_arms(model, observed), observed, states, model.point.problem.step_multiple, max_trials)
+    """Simulate recordings by a model, from their most likely initial states; also say which of these were found.
+
+    With stick-slip or play the likelihood of a state has many maxima, and simulations take many steps. States that are
+    not known are first looked for in the recordings' first periods, from several starts, and after the deadline, a
+    reading of `time.monotonic` [s], for a few steps only.
+    """
+    arms, multiple = _arms(model, observed), model.point.problem.step_multiple
+    if not is_nonsmooth(model.effects):
+        return fit_initial_states(arms, observed, states, multiple, max_trials)
+    if states is None:
+        duration = model.point.problem.first_horizon(model.point.x)
+        first = [each.truncated(float(each.recording.time[0]) + duration) for each in observed]
+        early = [run for run, _ in fit_initial_states(arms, first, None, multiple, max_trials)]
+        early = _with_other_starts(early, multiple)
+        near = fit_initial_states(arms, observed, [run.state for run in early], multiple, FEW_TRIALS)
+        if monotonic() > deadline or all(converged for _, converged in near):
+            return near
+        states = [run.state for run, _ in near]
+    return fit_initial_states(arms, observed, states, multiple, max_trials, deadline)
+
+
+def _with_other_starts(runs: Sequence[Run], step_multiple: float) -> list[Run]:
+    """Return runs from the most likely states, found from theirs and from those that effects propose in their place."""
+    best = [*runs]
+    other = [
+        (k, s) for k, run in enumerate(runs) for e in run.arm.effects for s in e.other_states(run.chain, run.state)
+    ]
+    if other:
+        arms, observed = zip(*((runs[k].arm, runs[k].observed) for k, _ in other), strict=True)
+        found = fit_initial_states(arms, observed, [state for _, state in other], step_multiple, FEW_TRIALS)
+        for (k, _), (run, _) in zip(other, found, strict=True):
+            best[k] = min(best[k], run, key=lambda run: run.cost)
+    return best
 
 
 def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:

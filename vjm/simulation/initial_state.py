@@ -233,6 +233,7 @@ def fit_initial_states(
     states: Sequence[Array | None] | None = None,
     step_multiple: float = 1.0,
     max_trials: int = MOST_TRIALS,
+    deadline: float = np.inf,
 ) -> list[tuple[Run, bool]]:
     """Estimate each recording's initial state by maximum likelihood; return its run, and whether the search converged.
 
@@ -242,24 +243,29 @@ def fit_initial_states(
         states: (2 nv,) where to start (Levenberg-Marquardt); None: at rest.
         step_multiple: multiple of the integrator's default step.
         max_trials: number of simulations at most.
+        deadline: reading of `time.monotonic` after which each search ends where it stands [s].
 
     Raises:
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: a simulation diverges even from its start.
     """
     if step_multiple < _COARSE_STEP_MULTIPLE and arms[0].chain.elbows.size:
-        states, max_trials = _states_by_long_steps(arms, observed, states, max_trials)
+        states, max_trials = _states_by_long_steps(arms, observed, states, max_trials, deadline)
     priors = [InitialStatePrior.of(arm, values.recording) for arm, values in zip(arms, observed, strict=True)]
     initial = [None] * len(priors) if states is None else states
     starts = [prior.rest if state is None else state for prior, state in zip(priors, initial, strict=True)]
     runs = simulate_runs(arms, observed, priors, starts, step_multiple)
     searches = [_InitialStateSearch(run.with_scaled_prior()) for run in runs]
-    minimise(searches, lambda running: _trial_runs(running, step_multiple), max_trials, linearize_by_states)
+    minimise(searches, lambda running: _trial_runs(running, step_multiple), max_trials, linearize_by_states, deadline)
     return [(search.point, search.status == "converged") for search in searches]
 
 
 def _states_by_long_steps(
-    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array | None] | None, max_trials: int
+    arms: Sequence[Arm],
+    observed: Sequence[Observations],
+    states: Sequence[Array | None] | None,
+    max_trials: int,
+    deadline: float,
 ) -> tuple[list[Array | None], int]:
     """Fill in missing initial states (2 nv,) by a search with long integrator steps.
 
@@ -272,7 +278,12 @@ def _states_by_long_steps(
         return filled, max_trials
     try:
         fits = fit_initial_states(
-            [arms[k] for k in unknown], [observed[k] for k in unknown], None, _COARSE_STEP_MULTIPLE, max_trials
+            [arms[k] for k in unknown],
+            [observed[k] for k in unknown],
+            None,
+            _COARSE_STEP_MULTIPLE,
+            max_trials,
+            deadline,
         )
     except SimulationDivergedError:  # the steps are too long
         return filled, max_trials

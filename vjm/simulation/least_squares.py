@@ -6,7 +6,8 @@ from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import ceil, log
+from math import ceil, inf, log
+from time import monotonic
 from typing import Generic, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
@@ -203,6 +204,7 @@ def minimise(
     simulate: Callable[[Sequence[LevenbergMarquardt[P, S]]], Iterable[P | None]],
     max_trials: int,
     linearize: Callable[[Sequence[P]], None] | None = None,
+    deadline: float = inf,
 ) -> None:
     """Advance independent searches together until each has converged or stopped.
 
@@ -211,8 +213,11 @@ def minimise(
         simulate: returns for each of some searches the trial at its step; None where that cannot be simulated.
         max_trials: number of trials of each at most.
         linearize: linearises the points of several searches together beforehand; None: each search does so by itself.
+        deadline: reading of `time.monotonic` after which no trial begins [s].
     """
     for _ in range(max_trials):
+        if monotonic() > deadline:
+            break
         running = [search for search in searches if search.status == "running"]
         if linearize is not None:
             linearize([search.point for search in running])

@@ -356,9 +356,9 @@ def all_followed(runs: Sequence[Run]) -> bool:
 
 
 def earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
-    """Return the runs of the same recording that begin before a segment of it."""
-    same_recording = by_recording(runs).get(observed.recording.file, [])
-    return [run for run in same_recording if run.trajectory.time[0] < observed.recording.time[0]]
+    """Return the runs of the same recording that begin before a segment of it and last until it begins."""
+    began, same_recording = observed.recording.time[0], by_recording(runs).get(observed.recording.file, [])
+    return [run for run in same_recording if run.trajectory.time[0] < began <= run.trajectory.time[-1]]
 
 
 def state_at(runs: Sequence[Run], observed: Observations) -> Array:
