@@ -16,7 +16,15 @@ import vjm
 from tests.diagnosis.rigs import RIG, chain_of, first_seconds, point_of, recorded
 from tests.diagnosis.rigs import in_segments as fitted_in_segments
 from vjm.diagnosis.candidate_fit import StoppingRule, refit
-from vjm.diagnosis.segments import fit_all, fit_segments, fit_some, in_segments, segments, some_segments
+from vjm.diagnosis.segments import (
+    draw_segments,
+    fit_all,
+    fit_segments,
+    fit_some,
+    largest_chi2_in_all,
+    segments,
+    simulate_segments,
+)
 from vjm.diagnosis.selection import Search, SearchOptions
 from vjm.effects import ClampCompliance, CubicStiffness, TipPayload, ViscoelasticCreep
 from vjm.identification.trajectory_fit import TrajectoryFit
@@ -78,7 +86,7 @@ def test_some_segments_hold_the_values_asked_for_with_the_beginning_and_more_of_
     runs: list[Any] = [
         SimpleNamespace(observed=SimpleNamespace(count=100, recording=SimpleNamespace(file=file))) for file in files
     ]
-    chosen = some_segments(runs, 100 * share * len(runs), seed)
+    chosen = draw_segments(runs, 100 * share * len(runs), seed)
     assert sorted(set(chosen)) == sorted(chosen)
     assert len(chosen) >= min(share, 1.0) * len(runs) - 1e-9
     if len(chosen) < len(runs):
@@ -94,15 +102,15 @@ def test_a_fit_to_some_segments_goes_on_in_all_of_them() -> None:
     creep = ViscoelasticCreep(link=0, ratio=0.1, time_constant=0.4)
     point = point_of(chain_of(), (), recorded(Arm.of(chain_of(), (creep,)), 1, duration=4.0))
     whole, duration = point.problem.observed, point.problem.first_horizon(point.x) / 2
-    cut = in_segments(TrajectoryFit(point), whole, duration)
-    chosen = [k for k in range(len(cut.runs)) if k % 3 == 0]
-    start, cut = fit_some(cut, chosen, StoppingRule())
+    every = simulate_segments(TrajectoryFit(point), whole, duration)
+    chosen = [k for k in range(len(every.runs)) if k % 3 == 0]
+    start, every = fit_some(every, chosen, StoppingRule())
     assert len(start.point.runs) == len(chosen)
     some = refit(start, [replace(creep, ratio=0.05)])
     assert some is not None
-    found = fit_all(some, cut, StoppingRule())
+    found = fit_all(some, every, StoppingRule())
     assert [run.observed.recording.time[0] for run in found.point.runs] == [
-        run.observed.recording.time[0] for run in cut.runs
+        run.observed.recording.time[0] for run in every.runs
     ]
     without = fit_segments(TrajectoryFit(point), whole, duration, StoppingRule())
     everywhere = refit(without, [replace(creep, ratio=0.05)])
@@ -114,10 +122,24 @@ def test_a_fit_to_some_segments_goes_on_in_all_of_them() -> None:
         assert fit.effects[0].values["ratio"] == pytest.approx(creep.ratio, rel=0.25)
 
 
+@pytest.mark.parametrize("misfit", [1.0, 1.7])
+def test_a_model_as_good_in_all_segments_as_in_some_is_not_given_up(misfit: float) -> None:
+    """Whose chi^2 in few segments is uncertain; one that is worse by much is."""
+    random, some, every = np.random.default_rng(1), 1000, 4000
+    few, others = (misfit**2 * random.chisquare(count, 20000) for count in (some, every - some))
+    limits: list[float] = []
+    for chi2 in few:
+        fit: Any = SimpleNamespace(misfit=np.sqrt(chi2 / some), point=SimpleNamespace(expected_chi2=some))
+        limits.append(largest_chi2_in_all(fit, SimpleNamespace(expected_chi2=every)))  # type: ignore[arg-type]
+    assert np.all(few + others < limits)
+    assert np.mean(few + 1.4 * others > limits) > 0.9
+    assert np.mean((np.array(limits) - few - others) / np.std(np.array(limits) - few - others) > 4) > 0.5
+
+
 def test_segments_that_do_not_follow_one_another_do_not_start_from_each_others_ends() -> None:
     point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1, duration=4.0))
     duration = point.problem.first_horizon(point.x) / 2
-    runs = in_segments(TrajectoryFit(point), point.problem.observed, duration).runs
+    runs = simulate_segments(TrajectoryFit(point), point.problem.observed, duration).runs
     first, second, third = [run for run in runs if run.observed.recording.file == "drive_0.csv"][:3]
     assert earlier_runs([first, second, third], third.observed) == [second]
     assert earlier_runs([first, third], third.observed) == []

@@ -18,7 +18,7 @@ from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import RecordingComparison
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.initial_state import best_of_starts, fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
@@ -89,6 +89,14 @@ def test_a_held_out_recording_with_play_begins_as_it_did_though_the_deadline_has
     model = TrajectoryFit(Point(problem, np.r_[point.x, play.coordinates], ()))
     ((run, _),) = simulations._simulate(model, problem.observed, deadline=deadline)
     assert run.chi2 / run.expected_chi2 == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_start_that_cannot_be_simulated_costs_no_recording() -> None:
+    runs = lost_fit().point.runs
+    assert [*best_of_starts(runs, [(0, np.full(runs[0].state.size, 1e9))], 1.0)] == [*runs]
+    found = best_of_starts(runs, [(1, runs[1].prior.rest)], 1.0)
+    assert found[0] is runs[0]
+    assert found[1].chi2 < runs[1].chi2
 
 
 def test_without_friction_or_play_a_held_out_recording_begins_where_it_did_whatever_the_time() -> None:

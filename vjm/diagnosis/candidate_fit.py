@@ -25,7 +25,7 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
-from vjm.simulation.initial_state import FEW_TRIALS, damped_states, fit_initial_states
+from vjm.simulation.initial_state import FEW_TRIALS, best_of_starts, damped_states, fit_initial_states
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run, earlier_runs, is_followed, linearize_by_states, state_at
 
@@ -127,7 +127,8 @@ def refit(
     Returns:
         The fit; None if the model cannot be simulated, not even with new effects of an eighth of their size.
     """
-    known, stop = {effect.key for effect in start.effects}, StoppingRule() if stop is None else stop
+    known = {effect.key for effect in start.effects}
+    stop = StoppingRule() if stop is None else stop
     for share in (1.0, 0.5, 0.25, 0.125):  # a linear estimate may be too large to be simulated
         sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
         problem = replace(start.point.problem, effects=tuple(sized))
@@ -205,7 +206,7 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
         return fit
     fit = _better_from(point, fit, deadline)
     if sticking and monotonic() <= deadline:
-        beyond = _multistart(fit.point, True, deadline)
+        beyond = _multistart(fit.point, only_at_kinks=True, deadline=deadline)
         fit = _better_from(replace(fit.point, runs=beyond), fit, deadline)
     bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
@@ -333,7 +334,7 @@ def _multistart(point: Point, only_at_kinks: bool = False, deadline: float = np.
         only_at_kinks: True to leave out all but the last.
         deadline: as of `fit_initial_states`.
     """
-    best, trials = [*point.runs], _states_beyond_kinks(point)
+    trials = _states_beyond_kinks(point)
     # With wrong parameters all segments fit poorly: the reduced chi^2 that the best quarter stays below is the measure.
     usual = max(1.0, float(np.quantile([run.chi2 / max(run.expected_chi2, 1) for run in point.runs], 0.25)))
     poor = [k for k, run in enumerate(point.runs) if run.chi2 > usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2)]
@@ -347,24 +348,7 @@ def _multistart(point: Point, only_at_kinks: bool = False, deadline: float = np.
         trials += [(k, resting), (k, previous)]
         for effect in run.arm.effects:
             trials += [(k, state) for known in (run.state, previous) for state in effect.other_states(run.chain, known)]
-    if not trials:
-        return point.runs
-    arms, observed = point.problem.arms(point.x), point.problem.observed
-    indices, states = [k for k, _ in trials], [state for _, state in trials]
-    try:
-        likely = fit_initial_states(
-            [arms[k] for k in indices],
-            [observed[k] for k in indices],
-            states,
-            point.problem.step_multiple,
-            FEW_TRIALS,
-            deadline,
-        )
-    except SimulationDivergedError:
-        return point.runs
-    for k, (run, _) in zip(indices, likely, strict=True):
-        best[k] = min(best[k], run, key=lambda run: run.cost)
-    return tuple(best)
+    return tuple(best_of_starts(point.runs, trials, point.problem.step_multiple, deadline))
 
 
 def _states_beyond_kinks(point: Point) -> list[tuple[int, Array]]:

@@ -239,6 +239,7 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
     longest = max(float(np.ptp(run.observed.recording.time)) for run in best.point.runs)
     if longest < max(float(np.ptp(run.observed.recording.time)) for run in search.start.point.runs):
         reason = "dry friction or backlash" if is_nonsmooth(best.effects) else "a discretization error that grows"
+        reason = "out of time" if search.stopped else reason
         notes.append(
             f"{reason}: fitted to {len(best.point.runs)} segments of {number(longest, 2)} s, each with its own initial "
             "state; "

@@ -34,7 +34,7 @@ def segments(observed: Observations, duration: float) -> tuple[Observations, ...
     return observed.segments(duration, 0.1 * duration)  # overlap, for sensors that are early or late
 
 
-def in_segments(fit: TrajectoryFit, whole: Sequence[Observations], duration: float) -> Point:
+def simulate_segments(fit: TrajectoryFit, whole: Sequence[Observations], duration: float) -> Point:
     """Return a model in all segments of recordings, each from its most likely initial state.
 
     Args:
@@ -50,7 +50,7 @@ def in_segments(fit: TrajectoryFit, whole: Sequence[Observations], duration: flo
     return Point(problem, x, tuple(likely_runs(problem, x, [state_at(fit.point.runs, part) for part in observed])))
 
 
-def some_segments(runs: Sequence[Run], values: float, seed: int) -> tuple[int, ...]:
+def draw_segments(runs: Sequence[Run], values: float, seed: int) -> tuple[int, ...]:
     """Draw so many of the segments of recordings that they hold a number of measured values; all if these are few.
 
     Of each recording they are the first one and others, one drawn from each of equal parts of it: what grows with time
@@ -74,45 +74,45 @@ def some_segments(runs: Sequence[Run], values: float, seed: int) -> tuple[int, .
     return tuple(chosen) if 2 * len(chosen) <= len(runs) else tuple(range(len(runs)))
 
 
-def fit_some(cut: Point, chosen: Sequence[int], stop: StoppingRule) -> tuple[TrajectoryFit, Point]:
+def fit_some(all_segments: Point, chosen: Sequence[int], stop: StoppingRule) -> tuple[TrajectoryFit, Point]:
     """Fit a model to some segments; return also all of them, which then remember the motion before each.
 
     Args:
-        cut: the model in all segments.
+        all_segments: the model in all segments.
         chosen: indices of those to fit.
         stop: stopping rule.
 
     Raises:
         SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
     """
-    runs = [cut.runs[k] for k in chosen]
-    problem = replace(cut.problem, observed=tuple(run.observed for run in runs))
-    fit = fit_accurately(problem, cut.x, [run.state for run in runs], stop)
+    runs = [all_segments.runs[k] for k in chosen]
+    problem = replace(all_segments.problem, observed=tuple(run.observed for run in runs))
+    fit = fit_accurately(problem, all_segments.x, [run.state for run in runs], stop)
     fitted = dict(zip(chosen, fit.point.runs, strict=True))
-    everywhere = tuple(fitted.get(k, run) for k, run in enumerate(cut.runs))
-    fit = replace(fit, point=_remembering(fit.point, everywhere))
-    return fit, _remembering(replace(cut, runs=everywhere), everywhere)
+    everywhere = tuple(fitted.get(k, run) for k, run in enumerate(all_segments.runs))
+    fit = replace(fit, point=_point_with_preceding_motion(fit.point, everywhere))
+    return fit, _point_with_preceding_motion(replace(all_segments, runs=everywhere), everywhere)
 
 
-def fit_all(fit: TrajectoryFit, cut: Point, stop: StoppingRule) -> TrajectoryFit:
+def fit_all(fit: TrajectoryFit, all_segments: Point, stop: StoppingRule) -> TrajectoryFit:
     """Fit a model of some segments to all of them.
 
     Args:
         fit: the fit to some segments.
-        cut: a model, such as one without effects, in all segments; from its states those of the others start.
+        all_segments: a model, such as one without effects, in all segments; from its states those of the others start.
         stop: stopping rule.
 
     Raises:
         SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
     """
     known = {_segment(run): run for run in fit.point.runs}
-    others = [run for run in cut.runs if _segment(run) not in known]
+    others = [run for run in all_segments.runs if _segment(run) not in known]
     added = replace(fit.point.problem, observed=tuple(run.observed for run in others))
     pairs = zip(others, added.arms(fit.point.x), strict=True)
     guessed = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
     known |= {_segment(run): run for run in likely_runs(added, fit.point.x, guessed, stop.deadline)}
-    runs = [known[_segment(run)] for run in cut.runs]
-    problem = replace(added, observed=tuple(_with_preceding_motion(cut.problem.observed, runs)))
+    runs = [known[_segment(run)] for run in all_segments.runs]
+    problem = replace(added, observed=tuple(_with_preceding_motion(all_segments.problem.observed, runs)))
     return _refitted(fit, problem, [run.state for run in runs], stop)
 
 
@@ -136,8 +136,8 @@ def fit_segments(
         SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
     """
     if len(fit.point.runs) == len(whole):
-        cut = in_segments(fit, whole, duration)
-        fitted, _ = fit_some(cut, range(len(cut.runs)), stop)
+        all_segments = simulate_segments(fit, whole, duration)
+        fitted, _ = fit_some(all_segments, range(len(all_segments.runs)), stop)
         return replace(fitted, shift=transferred_shift(fit, fitted))
     observed = [part for recording in whole for part in segments(recording, duration)]
     observed = _with_preceding_motion(observed, fit.point.runs)
@@ -150,11 +150,11 @@ def _refitted(
 ) -> TrajectoryFit:
     """Fit a model to other segments from given states (2 nv,); in later fits these remember the motion fitted here."""
     fitted = fit_accurately(problem, start.point.x, states, stop)
-    fitted = replace(fitted, point=_remembering(fitted.point, fitted.point.runs))
+    fitted = replace(fitted, point=_point_with_preceding_motion(fitted.point, fitted.point.runs))
     return replace(fitted, shift=transferred_shift(start, fitted))
 
 
-def _remembering(point: Point, runs: Sequence[Run]) -> Point:
+def _point_with_preceding_motion(point: Point, runs: Sequence[Run]) -> Point:
     """Return a point whose segments remember the motion before them, as in runs of all segments.
 
     Internal states of effects with memory follow it up to each segment.
@@ -175,9 +175,14 @@ def largest_chi2_in_longer(shorter: TrajectoryFit, whole: Sequence[Observations]
     return float(shorter.chi2 + freedom + 5 * np.sqrt(2 * freedom))
 
 
-def largest_chi2_in_all(fit: TrajectoryFit, cut: Point) -> float:
-    """Return the chi^2 up to which a model leaves no more of all segments than of some, arguments as of `fit_all`."""
-    return float(fit.misfit**2 * cut.expected_chi2 + 5 * np.sqrt(2 * cut.expected_chi2))
+def largest_chi2_in_all(fit: TrajectoryFit, all_segments: Point) -> float:
+    """Return the chi^2 up to which a model leaves no more of all segments than of some, arguments as of `fit_all`.
+
+    Five standard deviations beyond that of an equal misfit. Those of some segments and of the others are independent.
+    """
+    some, every = fit.point.expected_chi2, all_segments.expected_chi2
+    std = np.sqrt(2 * some * (every / some - 1) ** 2 + 2 * (every - some))
+    return float(fit.misfit**2 * (every + 5 * std))
 
 
 def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:

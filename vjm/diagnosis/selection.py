@@ -1,9 +1,10 @@
 """Selection of effects: forward steps by score tests and fits, with backward elimination, until nothing is needed.
 
-Recordings are cut into segments so short that even an incomplete model stays in phase. Each step tests the candidates
-beside the best model, fits those that may explain most, adds the best if it is significant and large enough to matter,
-and drops effects that are no longer needed. The segments are then lengthened up to whole recordings. Small effects show
-best there and are searched for there, and on the way where longer segments no longer fit.
+Recordings are cut into segments so short that even an incomplete model stays in phase; the search begins with some of
+them, and goes on in all. Each step tests the candidates beside the best model, fits those that may explain most, adds
+the best if it is significant and large enough to matter, and drops effects that are no longer needed. The segments are
+then lengthened up to whole recordings. Small effects show best there and are searched for there, and on the way where
+longer segments no longer fit.
 Where the discretization error cannot be measured, the search ends with the longest segments in which it does not show.
 """
 
@@ -32,13 +33,13 @@ from vjm.diagnosis.candidate_fit import (
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.diagnosis.segments import (
+    draw_segments,
     fit_all,
     fit_segments,
     fit_some,
-    in_segments,
     largest_chi2_in_all,
     largest_chi2_in_longer,
-    some_segments,
+    simulate_segments,
 )
 from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
@@ -142,7 +143,7 @@ class Search:
         self.unfinished: set[str] = set()
         self.unjustified: list[str] = []
         self.deadline, self.stopped = options.deadline, False
-        self._cut: Point | None = None  # all segments, where the search begins with some of them
+        self._all_segments: Point | None = None  # all segments, where the search begins with some of them
         self._decreases: dict[Key, float] = {}
         self._first_tests: FamilyTest | None = None  # beside the model without effects
 
@@ -162,7 +163,7 @@ class Search:
         # Where the discretization error is known, what is missing is small, and shows most in whole recordings.
         whole = self.start.shift is not None
         best, durations = (self.start, []) if whole else (self._fit_segments_without_effects(), self._durations())
-        durations = durations if self._cut else durations[1:]
+        durations = durations if self._all_segments else durations[1:]
         fits = segment_fits = {best.effect_keys: best}
         best, family = self._forward_selection(best, fits, small=whole)
         stages = [(best, fits)]
@@ -172,8 +173,8 @@ class Search:
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
             # is in none in these, within a standard error, will not find one in longer ones.
             settled = best.converged or best.predicted_decrease < 1.0
-            lengthened = settled and self._explains_all(best, best)
-            if is_nonsmooth(best.effects) and self._cut_into(duration) is None and not lengthened:
+            may_lengthen = settled and self._explains_all(best, best)
+            if is_nonsmooth(best.effects) and self._segments_to_add(duration) is None and not may_lengthen:
                 break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:  # what is small in these segments may be what longer ones lack
@@ -264,27 +265,27 @@ class Search:
         """
         self.report("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
-        cut = in_segments(self.start, self.whole, duration)
+        all_segments = simulate_segments(self.start, self.whole, duration)
         # What takes off a share of chi^2 has a z of at least the root of that share of the values. This one is beyond
         # Bonferroni's bound for one test of each effect, with a probability of 90 %.
         z = norm.isf(self.options.alpha / max(len(self.effects), 1) / 2) + norm.ppf(0.9)
-        chosen = some_segments(cut.runs, z**2 / LEAST_SHARE, self.options.seed)
-        base, cut = fit_some(cut, chosen, self.stop())
+        chosen = draw_segments(all_segments.runs, z**2 / LEAST_SHARE, self.options.seed)
+        base, all_segments = fit_some(all_segments, chosen, self.stop())
         if not all_followed(base.point.runs):
             x = self.start.point.x.copy()
             x[: len(problem.parametrisation.coordinates)] = problem.parametrisation.start
             try:
-                nominal = in_segments(replace(self.start, point=problem.point(x)), self.whole, duration)
+                nominal = simulate_segments(replace(self.start, point=problem.point(x)), self.whole, duration)
                 from_nominal, nominal = fit_some(nominal, chosen, self.stop(base.chi2))
-                base, cut = min([(base, cut), (from_nominal, nominal)], key=lambda pair: pair[0].chi2)
+                base, all_segments = min([(base, all_segments), (from_nominal, nominal)], key=lambda pair: pair[0].chi2)
             except (SimulationDivergedError, InsufficientDataError):
                 pass
-        self._cut = cut if len(chosen) < len(cut.runs) else None
+        self._all_segments = all_segments if len(chosen) < len(all_segments.runs) else None
         return base
 
-    def _cut_into(self, duration: float) -> Point | None:
+    def _segments_to_add(self, duration: float) -> Point | None:
         """Return all segments of a duration, where the search has begun with some of them."""
-        return self._cut if duration == self._durations()[0] else None
+        return self._all_segments if duration == self._durations()[0] else None
 
     def screen(self, fit: TrajectoryFit) -> FamilyTest:
         """Test the candidates beside a model.
@@ -520,15 +521,15 @@ class Search:
         """
         if self.out_of_time:
             return None
-        cut, nonsmooth, max_chi2 = self._cut_into(duration), is_nonsmooth(fit.effects), np.inf
-        self.report("lengthening segments" if cut is None else "adding segments")
+        all_segments, nonsmooth, max_chi2 = self._segments_to_add(duration), is_nonsmooth(fit.effects), np.inf
+        self.report("lengthening segments" if all_segments is None else "adding segments")
         try:
-            if cut is None:
+            if all_segments is None:
                 max_chi2 = largest_chi2_in_longer(fit, self.whole, duration) if nonsmooth else np.inf
                 longer = fit_segments(fit, self.whole, duration, self.stop(max_chi2))
             else:
-                max_chi2 = largest_chi2_in_all(fit, cut) if nonsmooth else np.inf
-                longer = fit_all(fit, cut, self.stop(max_chi2))
+                max_chi2 = largest_chi2_in_all(fit, all_segments) if nonsmooth else np.inf
+                longer = fit_all(fit, all_segments, self.stop(max_chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if longer.chi2 > max_chi2:  # without what its chain's discretization error adds, which grows with the duration

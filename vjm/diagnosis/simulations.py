@@ -18,7 +18,7 @@ from vjm.identification.comparison import replay_each, replay_without_outliers
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Array, Experiment, RecordingComparison, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import FEW_TRIALS, MOST_TRIALS, fit_initial_states
+from vjm.simulation.initial_state import FEW_TRIALS, MOST_TRIALS, best_of_starts, fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, all_followed, state_at
 
@@ -71,7 +71,8 @@ def simulate_recordings(
 ) -> tuple[RecordingComparison, ...]:
     """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
 
-    Recordings that were fitted have been simulated. Arguments as of `_simulate`.
+    Recordings that were fitted have been simulated. With stick-slip or play no state is improved much after the
+    deadline, a reading of `time.monotonic` [s].
     """
     known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
     unfitted = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
@@ -163,26 +164,14 @@ def _simulate(
         duration = model.point.problem.first_horizon(model.point.x)
         first = [each.truncated(float(each.recording.time[0]) + duration) for each in observed]
         early = [run for run, _ in fit_initial_states(arms, first, None, multiple, max_trials)]
-        early = _with_other_starts(early, multiple)
+        pairs = [(k, run, effect) for k, run in enumerate(early) for effect in run.arm.effects]
+        proposed = [(k, state) for k, run, effect in pairs for state in effect.other_states(run.chain, run.state)]
+        early = best_of_starts(early, proposed, multiple)
         near = fit_initial_states(arms, observed, [run.state for run in early], multiple, FEW_TRIALS)
         if monotonic() > deadline or all(converged for _, converged in near):
             return near
         states = [run.state for run, _ in near]
     return fit_initial_states(arms, observed, states, multiple, max_trials, deadline)
-
-
-def _with_other_starts(runs: Sequence[Run], step_multiple: float) -> list[Run]:
-    """Return runs from the most likely states, found from theirs and from those that effects propose in their place."""
-    best = [*runs]
-    other = [
-        (k, s) for k, run in enumerate(runs) for e in run.arm.effects for s in e.other_states(run.chain, run.state)
-    ]
-    if other:
-        arms, observed = zip(*((runs[k].arm, runs[k].observed) for k, _ in other), strict=True)
-        found = fit_initial_states(arms, observed, [state for _, state in other], step_multiple, FEW_TRIALS)
-        for (k, _), (run, _) in zip(other, found, strict=True):
-            best[k] = min(best[k], run, key=lambda run: run.cost)
-    return best
 
 
 def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:

@@ -260,6 +260,30 @@ def fit_initial_states(
     return [(search.point, search.status == "converged") for search in searches]
 
 
+def best_of_starts(
+    runs: Sequence[Run], starts: Sequence[tuple[int, Array]], step_multiple: float, deadline: float = np.inf
+) -> list[Run]:
+    """Return runs, each the best of itself and of short searches that start from other states (multistart).
+
+    Args:
+        runs: of recordings or segments.
+        starts: index of a run and the state (2 nv,) from which to start instead, as often as wanted. If a simulation
+            from one of them diverges, the runs are returned as they are.
+        step_multiple, deadline: as of `fit_initial_states`.
+    """
+    best = [*runs]
+    if not starts:
+        return best
+    arms, observed = zip(*((runs[k].arm, runs[k].observed) for k, _ in starts), strict=True)
+    try:
+        found = fit_initial_states(arms, observed, [state for _, state in starts], step_multiple, FEW_TRIALS, deadline)
+    except SimulationDivergedError:
+        return best
+    for (k, _), (run, _) in zip(starts, found, strict=True):
+        best[k] = min(best[k], run, key=lambda run: run.cost)
+    return best
+
+
 def _states_by_long_steps(
     arms: Sequence[Arm],
     observed: Sequence[Observations],
