@@ -51,7 +51,7 @@ def simulate_segments(fit: TrajectoryFit, whole: Sequence[Observations], duratio
 
 
 def draw_segments(runs: Sequence[Run], values: float, seed: int) -> tuple[int, ...]:
-    """Draw so many of the segments of recordings that they hold about a number of measured values; all if these are few.
+    """Draw so many of the segments that they hold about a number of measured values; all if these are few.
 
     Of each recording they are the first one and others, one drawn from each of equal parts of it: what grows with time
     shows, and no image of what is periodic.
