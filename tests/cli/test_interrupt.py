@@ -146,12 +146,27 @@ def test_a_library_that_waits_for_ever_does_not_keep_the_command() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "vjm: interrupted\n")
 
 
-@pytest.mark.parametrize("delay", [0.02, 0.05, 0.1, 0.2, 0.3, 0.5])  # s
+# Says when the handler stands; until then, Python answers Ctrl-C with a traceback.
+_READY = """
+import sys
+import vjm.cli
+
+class Interrupts(vjm.cli._Interrupts):
+    def __init__(self):
+        super().__init__()
+        print(flush=True)
+
+vjm.cli._Interrupts = Interrupts
+sys.argv = ["vjm", "identify", {experiment!r}]
+import vjm.__main__
+"""
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])  # s
 def test_a_command_that_has_just_started_is_interrupted_quietly(delay: float, tmp_path: Path) -> None:
-    """The delay counts from the moment where Python itself has started: until then Python answers, with a traceback."""
-    code = f"print(flush=True); import sys; sys.argv = ['vjm', 'identify', {str(DEMO)!r}]; import vjm.__main__"
+    command = [sys.executable, "-c", _READY.format(experiment=str(DEMO))]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", code], **pipes, cwd=tmp_path) as process:
+    with subprocess.Popen(command, **pipes, cwd=tmp_path) as process:
         assert process.stdout is not None
         process.stdout.readline()
         time.sleep(delay)
