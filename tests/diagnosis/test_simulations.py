@@ -78,7 +78,8 @@ def test_after_the_deadline_a_state_is_the_one_that_its_search_began_with() -> N
     assert all(converged for _, converged in fit_initial_states(arms, observed, point.states))
 
 
-@pytest.mark.parametrize("deadline", [-np.inf, pytest.param(np.inf, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("deadline", [-np.inf, np.inf])
 def test_a_held_out_recording_with_play_begins_as_it_did_though_the_deadline_has_passed(deadline: float) -> None:
     """On either flank, in the middle of a motion, of which its first periods tell."""
     play = Backlash(link=0, gap=0.01)

@@ -120,7 +120,7 @@ def test_long_chains_take_long_steps_as_exactly(n: int, kelvin_voigt: float, ste
     assert np.abs(markers_of(case, "exponential") - markers_of(case, "rk4", step)).max() < 1e-6
 
 
-@pytest.mark.parametrize("n", [8, pytest.param(16, marks=pytest.mark.slow), 24])
+@pytest.mark.parametrize("n", [8, *(pytest.param(n, marks=pytest.mark.slow) for n in (16, 24))])
 def test_an_elbow_s_steps_are_short_enough_for_many_joints(n: int) -> None:
     """With steps and a linear part that few joints need, 24 a link are off by 0.05 mm after two seconds."""
     chain = two_link_arm(n)

@@ -278,7 +278,7 @@ def test_derivatives_of_what_sticks_are_differences_of_simulations(name: str) ->
     assert np.median(errors) < 0.01
 
 
-@pytest.mark.parametrize("step", [-0.2, 0.2])
+@pytest.mark.parametrize("step", [0.2, pytest.param(-0.2, marks=pytest.mark.slow)])
 def test_by_the_flanks_of_a_backlash_derivatives_are_differences_of_simulations(step: float) -> None:
     """The motion comes from a batch with other arms, the differences from one simulation after the other."""
     chain, play = arm_of(steel_link(3, "revolute")), Backlash(link=0, gap=0.004, motor_share=0.4)
