@@ -279,7 +279,57 @@ def test_structural_damping_gives_every_mode_half_the_loss_factor(links: Sequenc
         motion = effects[0].force(chain, 0.05)
         assert motion is not None
         drift = v - modes_of(M, C, K).shapes @ (modes_of(M, C, K).shapes.T @ M @ v)
-        assert motion(np.array(0.0), v, drift, np.zeros(0)) == pytest.approx(0.0, abs=1e-9)
+        still = effects[0].initial_states(chain, v)
+        assert motion(np.array(0.0), v, drift, still) == pytest.approx(0.0, abs=1e-9)
+
+
+def complex_stiffness(effect: Effect, chain: Chain, pulsation: float) -> Array:
+    """What the effect adds to the stiffness (nv, nv) [N m/rad] in harmonic motion [rad/s], its states following it."""
+    n = chain.size
+    count = effect.initial_states(chain, np.zeros(n)).size
+    units, still = np.eye(n), np.zeros((n, n))
+    force, rates = effect.force(chain, 0.0), effect.state_rates(chain)
+    assert force is not None
+    assert rates is not None
+    time, no_states = np.zeros(n), np.zeros((n, count))
+    by_angle, by_rate = force(time, units, still, no_states), force(time, still, units, no_states)
+    zeros = np.zeros((count, n))
+    by_state = force(np.zeros(count), zeros, zeros, np.eye(count))
+    driven = rates(time, still, units, no_states)
+    relaxing = rates(np.zeros(count), zeros, zeros, np.eye(count))
+    states = 1j * pulsation * driven @ np.linalg.inv(1j * pulsation * np.eye(count) - relaxing)
+    return np.asarray(-(by_angle + 1j * pulsation * by_rate + states @ by_state).T)
+
+
+@pytest.mark.parametrize("links", [(LINK,), (POST,), (LINK, FORE)])
+@pytest.mark.parametrize("dispersion", [1.0, 0.4])
+def test_structural_damping_loses_the_same_at_all_frequencies_and_stiffens_as_causality_asks(
+    links: Sequence,  # type: ignore[type-arg]
+    dispersion: float,
+) -> None:
+    chain, loss = chain_of(*links, n=6, kelvin_voigt=0.0), 0.02
+    effect = StructuralDamping(loss_factor=loss, dispersion=dispersion, link=len(links) - 1)
+    M, D, K, _ = linearise(chain)
+    first = 2 * np.pi * modes_of(M, D, K).frequencies[0]
+    part = effect.virtual_joints(chain)
+    omega = 2 * np.pi * modes_of(M[part, part], D[part, part], K[part, part]).frequencies
+    shapes = modes_of(M[part, part], D[part, part], K[part, part]).shapes
+    relaxing = replace(effect, loss_factor=loss * dispersion, dispersion=1.0)
+    # The slowest shape at all frequencies; the others where they swing.
+    cases = [(0, f) for f in np.geomspace(omega[0] / 3, omega[2], 9)] + [*enumerate(omega[:5])][1:]
+    for shape, pulsation in cases:
+        a = shapes[:, shape] / omega[shape]
+        found = a @ complex_stiffness(relaxing, chain, pulsation)[part, part] @ a
+        assert found.imag == pytest.approx(loss * dispersion, rel=0.04)
+        stiffening = 2 / np.pi * loss * dispersion * np.log(pulsation / first)
+        # Elements that are dampers, each 10^(2/3) times as fast as the one before, stiffen in proportion to the square.
+        spacing, fastest = np.log(10.0) / 1.5, 28.0 / 10 ** (5 / 1.5) * effect.units(chain)[2]
+        omitted = 2 / np.pi * loss * dispersion * spacing * (pulsation * fastest) ** 2 / np.expm1(2 * spacing)
+        assert found.real == pytest.approx(stiffening, abs=omitted * (shape < 3) + 0.015 * loss * dispersion)
+    # The rest is a damper in each mode.
+    rest = complex_stiffness(effect, chain, omega[0]) - complex_stiffness(relaxing, chain, omega[0])
+    assert rest.real == pytest.approx(0.0, abs=1e-9)
+    assert rest.imag == pytest.approx((1 - dispersion) * omega[0] * effect.matrix(chain, 0.0), abs=1e-9)
 
 
 def test_structural_damping_of_one_link_follows_its_share_of_the_energy() -> None:

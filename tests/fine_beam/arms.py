@@ -37,7 +37,7 @@ def rms(first: Motion, second: Motion) -> float:
 
 
 def energy(motion: Motion) -> Array:
-    """Kinetic and elastic energy without gravity, J, (T,)."""
+    """Kinetic and elastic energy, that of Maxwell arms with it, without gravity, J, (T,)."""
     heading, rate = motion.coordinates @ motion.beam.heading.T, motion.rates @ motion.beam.heading.T
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     basis, beam = motion.beam.basis, motion.beam.beam
@@ -52,4 +52,7 @@ def energy(motion: Motion) -> Array:
     shares = [share, 1.0 - share] if motion.beam.motor else [1.0] * int(motion.beam.revolute)
     hubs = 0.5 * beam.hub_inertia * motion.rates[:, : len(shares)] ** 2 @ np.array(shares)
     elastic = 0.5 * np.sum(motion.coordinates @ motion.beam.stiffness * motion.coordinates, axis=-1)
+    bending = motion.beam.bending_stiffness[motion.beam.bending, motion.beam.bending]
+    arms = motion.states[:, motion.beam.parts.maxwell].reshape(len(elastic), len(motion.beam.ratios), len(bending))
+    elastic += 0.5 * np.sum(arms @ bending * arms, axis=-1) @ motion.beam.ratios
     return np.asarray(kinetic + hubs + moved + elastic)

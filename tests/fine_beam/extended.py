@@ -9,6 +9,7 @@ and last, where it moves, the table's displacement u: a point's velocity is u' d
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -67,17 +68,17 @@ class Extended:
         self.line: Array = beam.mass / beam.length * thickness
         self.section: Array = beam.bending_stiffness * thickness**3
         self.tip_heading: Array = self._tip_heading()
-        self.parts = self._parts(size, nodes)
-        self.dimension: int = self.parts.torque.stop
         self.gravity: Array = np.add(beam.gravity, (physics.in_plane_gravity_gx, physics.in_plane_gravity_gy))
         tips = beam.payload + physics.tip_payload_mass + np.asarray(payloads, dtype=float)
         self.tip_masses, self.group = np.unique(tips, return_inverse=True)
         self._set_masses()
         self.stiffness, self.bending_stiffness = self._stiffness()
-        self.damping: Array = np.stack([self._damping(k) for k in range(len(self.tip_masses))])
+        self.damping = self._damping()
+        self.ratios, self.time_constants = self._maxwell_arms()
+        self.parts = self._parts(size, nodes)
+        self.dimension: int = self.parts.torque.stop
         # Of coordinates and rates side by side.
-        springs = np.stack([np.vstack([self.stiffness, damping]) for damping in self.damping])
-        self._springs: Array = springs[self.group] if physics.structural_damping_loss_factor else springs[:1]
+        self._springs: Array = np.vstack([self.stiffness, self.damping])
 
     def _tip_heading(self) -> Array:
         """Heading of each coordinate at the tip, (n,)."""
@@ -89,7 +90,7 @@ class Extended:
 
     def _parts(self, size: int, nodes: int) -> Parts:
         n = self.size
-        maxwell = 2 * n + (size if self.physics.viscoelastic_creep_ratio != 0.0 else 0)
+        maxwell = 2 * n + size * len(self.ratios)
         slip = maxwell + (nodes if self.physics.hysteresis_ratio != 0.0 else 0)
         torque = slip + (1 if self.revolute and self.physics.actuator_lag_time_constant > 0.0 else 0)
         return Parts(slice(0, n), slice(n, 2 * n), slice(2 * n, maxwell), slice(maxwell, slip), slice(slip, torque))
@@ -132,8 +133,8 @@ class Extended:
             whole[-1, -1] = self.physics.base_compliance_stiffness
         return whole, bending
 
-    def _damping(self, k: int) -> Array:
-        """Dampers, of bending and of joints, and the modes' structural damping with distinct payload k, (n, n)."""
+    def _damping(self) -> Array:
+        """Dampers of bending and of joints, (n, n)."""
         viscous = self.beam.kelvin_voigt_time * self.bending_stiffness
         if self.root:
             root = self.bending.start - 1
@@ -143,12 +144,27 @@ class Extended:
         if self.physics.has_table:
             critical = 2.0 * np.sqrt(self.physics.base_compliance_stiffness * self.physics.base_compliance_mass)
             viscous[-1, -1] = self.physics.base_compliance_damping_ratio * critical
-        loss = self.physics.structural_damping_loss_factor
+        return np.asarray(viscous)
+
+    def _maxwell_arms(self) -> tuple[Array, Array]:
+        """Ratios to the bending stiffness and time constants, s, of the arms beside it, (A,) each.
+
+        The stiffness is lowered by what those of structural damping add at the first natural frequency
+        without a known payload.
+        """
+        ratios, constants = np.zeros(0), np.zeros(0)
+        if self.physics.viscoelastic_creep_ratio != 0.0:
+            ratios = np.array([self.physics.viscoelastic_creep_ratio])
+            constants = np.array([self.physics.viscoelastic_creep_time_constant])
+        loss, spacing = self.physics.structural_damping_loss_factor, self.physics.structural_damping_spacing
         if loss == 0.0:
-            return np.asarray(viscous)
-        pulsations, shapes = self.modes(k)
-        carried = self.mass[k] @ shapes
-        return np.asarray(viscous + loss * (carried * pulsations) @ carried.T)
+            return ratios, constants
+        alone = Extended(self.beam, replace(self.physics, structural_damping_loss_factor=0.0), np.zeros(1))
+        first = alone.modes()[0][0]
+        phases = 10.0 ** np.arange(2.0, -4.0, -spacing)  # of the time constants in the first vibration
+        ratio = 2.0 / np.pi * loss * spacing * np.log(10.0)
+        self.stiffness -= ratio * np.sum(phases**2 / (1.0 + phases**2)) * self.bending_stiffness
+        return np.append(ratios, np.full(len(phases), ratio)), np.append(constants, phases / first)
 
     def modes(self, k: int = 0) -> tuple[Array, Array]:
         """Pulsations, rad/s, (m,) and mass-normalised shapes (n, m) of the vibrations with distinct payload k."""
@@ -173,14 +189,15 @@ class Extended:
         matrix = np.zeros((self.dimension, self.dimension))
         matrix[parts.coordinates, parts.rates] = np.eye(n)
         matrix[parts.rates, parts.coordinates] = -np.linalg.solve(self.mass[k], self.stiffness)
-        matrix[parts.rates, parts.rates] = -np.linalg.solve(self.mass[k], self.damping[k])
+        matrix[parts.rates, parts.rates] = -np.linalg.solve(self.mass[k], self.damping)
         if parts.maxwell.stop > parts.maxwell.start:
-            arms = self.physics.viscoelastic_creep_ratio * self.bending_stiffness[:, self.bending]
+            size = parts.maxwell.stop - parts.maxwell.start
+            arms = np.hstack([ratio * self.bending_stiffness[:, self.bending] for ratio in self.ratios])
             matrix[parts.rates, parts.maxwell] = -np.linalg.solve(self.mass[k], arms)
-            matrix[parts.maxwell, parts.rates][:, self.bending] = np.eye(arms.shape[1])
-            matrix[parts.maxwell, parts.maxwell] = -np.eye(arms.shape[1]) / (
-                self.physics.viscoelastic_creep_time_constant
-            )
+            stretched = np.tile(np.eye(size // len(self.ratios)), (len(self.ratios), 1))
+            matrix[parts.maxwell, parts.rates][:, self.bending] = stretched
+            relaxing = np.repeat(1.0 / self.time_constants, size // len(self.ratios))
+            matrix[parts.maxwell, parts.maxwell] = -np.diag(relaxing)
         if parts.torque.stop > parts.torque.start:
             matrix[parts.rates, parts.torque] = np.linalg.solve(self.mass[k], np.eye(n)[:, :1])
             matrix[parts.torque, parts.torque] = -1.0 / self.physics.actuator_lag_time_constant
@@ -212,10 +229,10 @@ class Extended:
         along_links = self._centrifugal(along)
         for load in self._loads(along, coordinates, time):
             along_links += load
-        force = along_links @ self.heading - times(self._springs, state[:, : 2 * self.size])
+        force = along_links @ self.heading - state[:, : 2 * self.size] @ self._springs
         if self.parts.maxwell.stop > self.parts.maxwell.start:
-            arms = self.physics.viscoelastic_creep_ratio * self.bending_stiffness[self.bending]
-            force -= state[:, self.parts.maxwell] @ arms
+            arms = state[:, self.parts.maxwell].reshape(len(state), len(self.ratios), -1)
+            force -= (self.ratios @ arms) @ self.bending_stiffness[self.bending]
         if self.physics.has_table:
             ahead = self.slide[0] * along.cosine + self.slide[1] * along.sine
             force[:, -1] += np.sum(self._beyond * ahead * along.rate**2, axis=1)

@@ -165,12 +165,13 @@ def _equilibrium(beam: Beam, physics: Physics, run: Run, size: int) -> tuple[Arr
 
     The tone, the friction and the slip are left out: they hold nothing.
     """
-    calm = replace(physics, external_tone_amplitude=0.0, hysteresis_ratio=0.0, viscoelastic_creep_ratio=0.0)
+    calm = replace(physics, external_tone_amplitude=0.0, hysteresis_ratio=0.0)
     single = _extended(beam, calm, [run], size)
     first = int(single.revolute)
 
     def forces(coordinates: Array) -> Array:
-        state = np.concatenate([coordinates, np.zeros(single.size)])[None]
+        state = np.zeros((1, single.dimension))
+        state[0, single.parts.coordinates] = coordinates
         balance: Array = single.forces(state, 0.0, np.zeros(1), single.fields(state))[0]
         return balance
 
