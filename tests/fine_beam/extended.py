@@ -73,12 +73,13 @@ class Extended:
         self.tip_masses, self.group = np.unique(tips, return_inverse=True)
         self._set_masses()
         self.stiffness, self.bending_stiffness = self._stiffness()
-        self.damping = self._damping()
+        self.damping: Array = np.stack([self._damping(k) for k in range(len(self.tip_masses))])
         self.ratios, self.time_constants = self._maxwell_arms()
         self.parts = self._parts(size, nodes)
         self.dimension: int = self.parts.torque.stop
         # Of coordinates and rates side by side.
-        self._springs: Array = np.vstack([self.stiffness, self.damping])
+        springs = np.stack([np.vstack([self.stiffness, damping]) for damping in self.damping])
+        self._springs: Array = springs[self.group] if len(springs) > 1 else springs
 
     def _tip_heading(self) -> Array:
         """Heading of each coordinate at the tip, (n,)."""
@@ -133,8 +134,8 @@ class Extended:
             whole[-1, -1] = self.physics.base_compliance_stiffness
         return whole, bending
 
-    def _damping(self) -> Array:
-        """Dampers of bending and of joints, (n, n)."""
+    def _damping(self, k: int) -> Array:
+        """Dampers, of bending and of joints, and those of the modes with distinct payload k, (n, n)."""
         viscous = self.beam.kelvin_voigt_time * self.bending_stiffness
         if self.root:
             root = self.bending.start - 1
@@ -144,7 +145,12 @@ class Extended:
         if self.physics.has_table:
             critical = 2.0 * np.sqrt(self.physics.base_compliance_stiffness * self.physics.base_compliance_mass)
             viscous[-1, -1] = self.physics.base_compliance_damping_ratio * critical
-        return np.asarray(viscous)
+        loss = (1.0 - self.physics.structural_damping_dispersion) * self.physics.structural_damping_loss_factor
+        if loss == 0.0:
+            return np.asarray(viscous)
+        pulsations, shapes = self.modes(k)
+        carried = self.mass[k] @ shapes
+        return np.asarray(viscous + loss * (carried * pulsations) @ carried.T)
 
     def _maxwell_arms(self) -> tuple[Array, Array]:
         """Ratios to the bending stiffness and time constants, s, of the arms beside it, (A,) each.
@@ -156,12 +162,14 @@ class Extended:
         if self.physics.viscoelastic_creep_ratio != 0.0:
             ratios = np.array([self.physics.viscoelastic_creep_ratio])
             constants = np.array([self.physics.viscoelastic_creep_time_constant])
-        loss, spacing = self.physics.structural_damping_loss_factor, self.physics.structural_damping_spacing
+        loss = self.physics.structural_damping_dispersion * self.physics.structural_damping_loss_factor
+        spacing = self.physics.structural_damping_spacing
         if loss == 0.0:
             return ratios, constants
         alone = Extended(self.beam, replace(self.physics, structural_damping_loss_factor=0.0), np.zeros(1))
         first = alone.modes()[0][0]
-        phases = 10.0 ** np.arange(2.0, -4.0, -spacing)  # of the time constants in the first vibration
+        # Of the time constants in the first vibration.
+        phases = 10.0 ** np.arange(np.log10(self.physics.structural_damping_memory), np.log10(1 / 4000), -spacing)
         ratio = 2.0 / np.pi * loss * spacing * np.log(10.0)
         self.stiffness -= ratio * np.sum(phases**2 / (1.0 + phases**2)) * self.bending_stiffness
         return np.append(ratios, np.full(len(phases), ratio)), np.append(constants, phases / first)
@@ -189,7 +197,7 @@ class Extended:
         matrix = np.zeros((self.dimension, self.dimension))
         matrix[parts.coordinates, parts.rates] = np.eye(n)
         matrix[parts.rates, parts.coordinates] = -np.linalg.solve(self.mass[k], self.stiffness)
-        matrix[parts.rates, parts.rates] = -np.linalg.solve(self.mass[k], self.damping)
+        matrix[parts.rates, parts.rates] = -np.linalg.solve(self.mass[k], self.damping[k])
         if parts.maxwell.stop > parts.maxwell.start:
             size = parts.maxwell.stop - parts.maxwell.start
             arms = np.hstack([ratio * self.bending_stiffness[:, self.bending] for ratio in self.ratios])
@@ -229,7 +237,7 @@ class Extended:
         along_links = self._centrifugal(along)
         for load in self._loads(along, coordinates, time):
             along_links += load
-        force = along_links @ self.heading - state[:, : 2 * self.size] @ self._springs
+        force = along_links @ self.heading - times(self._springs, state[:, : 2 * self.size])
         if self.parts.maxwell.stop > self.parts.maxwell.start:
             arms = state[:, self.parts.maxwell].reshape(len(state), len(self.ratios), -1)
             force -= (self.ratios @ arms) @ self.bending_stiffness[self.bending]

@@ -40,9 +40,11 @@ class Physics:
             table that slides under the base, from where its load holds it; N/m, kg, rad, and of the table by itself.
         linear_drag_coefficient: force per length over normal velocity, N s/m^2.
         quadratic_drag_coefficient: the same over its square, N s^2/m^3.
-        structural_damping_loss_factor, structural_damping_spacing: of Maxwell arms over six decades of time constants,
-            which lose about the same share of the energy at any frequency; decades from one arm to the next. The
-            bending stiffness is that at the first natural frequency.
+        structural_damping_loss_factor, structural_damping_dispersion: of Maxwell arms, which lose about the same share
+            of the energy at any frequency, and of dampers of the modes; the arms' part of the loss. The bending
+            stiffness is that at the first natural frequency.
+        structural_damping_memory, structural_damping_spacing: the arms' longest time constant, in radians of the first
+            vibration; decades from one to the next, down to 1/4000 of a radian.
         viscoelastic_creep_ratio, viscoelastic_creep_time_constant: a Maxwell arm beside the spring; s.
         hysteresis_ratio, hysteresis_yield_angle: Bouc-Wen share of the stiffness; rad over the whole length.
         cubic_stiffness_coefficient: of the bending moment EI kappa (1 + coefficient kappa^2), m^2.
@@ -83,6 +85,8 @@ class Physics:
     linear_drag_coefficient: float = 0.0
     quadratic_drag_coefficient: float = 0.0
     structural_damping_loss_factor: float = 0.0
+    structural_damping_dispersion: float = 1.0
+    structural_damping_memory: float = 100.0
     structural_damping_spacing: float = 0.5
     viscoelastic_creep_ratio: float = 0.0
     viscoelastic_creep_time_constant: float = 0.1

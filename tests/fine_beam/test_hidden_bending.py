@@ -117,6 +117,15 @@ def test_structural_damping_is_half_the_loss_factor_in_every_mode_and_stiffens_t
         assert -2.0 * root.real / abs(root) * stiffness == pytest.approx(loss, abs=error)
 
 
+@pytest.mark.parametrize("mode", [0, 1, 2])
+def test_structural_damping_without_dispersion_is_a_damper_for_each_mode(mode: int) -> None:
+    hidden = Physics(structural_damping_loss_factor=0.02, structural_damping_dispersion=0.0)
+    tip, pulsation = tip_of(hidden, mode)
+    ratio = 0.01 + 0.5 * 5e-4 * pulsation
+    matrix = np.array([[0.0, 1.0], [-(pulsation**2), -2.0 * ratio * pulsation]])
+    np.testing.assert_allclose(tip, modal_decay(matrix, np.array([1e-5, 0.0])), atol=1e-9)
+
+
 @pytest.mark.parametrize("mode", [0, 1])
 def test_creep_is_a_standard_linear_solid(mode: int) -> None:
     tip, pulsation = tip_of(Physics(viscoelastic_creep_ratio=0.05, viscoelastic_creep_time_constant=0.1), mode)

@@ -251,6 +251,9 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
         case "clamp_compliance":
             # Loss factors of the spring from 0.001 to 0.1 in the slowest mode, 7.4 rad/s.
             return {"damping": 0.027 * 100.0 ** random.uniform()}
+        case "structural_damping":  # its memory and how evenly it loses have names of their own
+            memory, spacing = 10.0 ** random.uniform(1.5, 2.5), random.uniform(0.3, 0.7)
+            return {"dispersion": random.uniform(), "memory": memory, "spacing": spacing}
         case "viscoelastic_creep":
             return {"time_constant": 0.1 * spread}
         case "hysteresis":
