@@ -16,9 +16,9 @@ from vjm.records import Array, Recording, Rig
 # Modes above are damped no faster than one of this angular frequency, in the link's own units 1 / T (a cantilever's
 # seventh has 417, its eighth 555): no camera shows them, and steps need not follow them.
 _FASTEST = 500.0
-# Time constants of relaxation, in the link's own unit T: from 16 periods of a cantilever, beyond which recordings
-# hardly show it, to the time in which its third mode turns by 0.8 rad. With three in two decades the loss is the same
-# at all frequencies to 2 / cosh(pi^2 / spacing) = 0.7 %.
+# Time constants of relaxation, in the link's own unit T: from 16 periods of a cantilever, longer ones being followed as
+# this one, to the time in which its third mode turns by 0.8 rad. With three in two decades the loss is the same at all
+# frequencies to 2 / cosh(pi^2 / spacing) = 0.7 %.
 _SPACING = np.log(10.0) / 1.5
 _RELAXATION_TIMES: Array = 28.0 * np.exp(-_SPACING * np.arange(6))
 # Bending shapes that relax; those beyond have less than 1e-3 of a static deflection, as (3.5 / 120)^2 says.
@@ -26,13 +26,13 @@ _RELAXING_SHAPES = 3
 
 
 class _Loss(NamedTuple):
-    """Moments of a link's n virtual joints, in proportion to angles and rates, and of m shapes that relax."""
+    """Moments of a link's n virtual joints, in proportion to angles and rates, and of m shapes with r elements each."""
 
     stiffness: Array  # (n, n) [N m/rad]
     damping: Array  # (n, n) [N m s/rad]
-    moments: Array  # (n, m) by each relaxing shape's state [N m/rad]
-    shapes: Array  # (n, m) rates of the states by those of the joints
-    rates: Array  # (r,) at which states relax [1/s]
+    moments: Array  # (n, r m) by the elements' states [N m/rad]
+    shapes: Array  # (n, r m) rates of the states by those of the joints
+    rates: Array  # (r m,) at which states relax [1/s]
 
 
 @dataclass(frozen=True)
@@ -42,20 +42,22 @@ class StructuralDamping(LinkEffect):
     The loss factor eta is the energy lost in a radian over the strain energy. A material that loses the same at all
     frequencies is stiffer at higher ones, by 2 eta / pi of its stiffness for every factor e, and remembers its bends:
     it is a row of Maxwell elements whose time constants are evenly spaced on a logarithmic scale. The dispersion is the
-    share of the loss that comes about so; the rest is a damper for each mode, as simulators have it. The link's bending
-    stiffness is that at the arm's first natural frequency without a known payload.
+    share of the loss that comes about so; the rest is a damper for each mode, as simulators have it. The longest time
+    constant is that at which the elements end. The link's bending stiffness is that at the arm's first natural
+    frequency without a known payload.
 
     With several links, a mode gets each link's loss by the share of its strain energy there.
     """
 
     loss_factor: float = magnitude("", 0.01, lower=0.0, upper=0.3)
     dispersion: float = shape_parameter("", 1.0, upper=1.0, power=1, grid=(1.0,))
+    longest_time_constant: float = shape_parameter("s", 60.0, lower=1.0, upper=1e5, in_rig_units=True)
 
     description = "structural damping: rate-independent bending loss"
     clause = "structural damping in '{link}', loss factor {loss_factor}"
     assumptions = (
         "the same loss factor at all frequencies, along the link and at any bend; "
-        "full relaxation, up to 16 periods of the clamped link long, where a recording begins"
+        "full relaxation where a recording begins; that of more than 16 periods of the clamped link is as slow as that"
     )
     reference = (
         "H.-P. Liu, D. L. Anderson and H. Kanamori, Velocity dispersion due to anelasticity, Geophys. J. Royal "
@@ -74,11 +76,10 @@ class StructuralDamping(LinkEffect):
         part, loss, damping = self.virtual_joints(chain), self.relaxation(chain), self.matrix(chain, payload)
         damping = (1 - self.dispersion) * damping
         damping[part, part] += loss.damping
-        repeated = np.tile(loss.moments, _RELAXATION_TIMES.size).T
 
         def moments(time: Array, q: Array, v: Array, z: Array) -> Array:
             total = -(v @ damping)
-            total[..., part] -= q[..., part] @ loss.stiffness + z @ repeated
+            total[..., part] -= q[..., part] @ loss.stiffness + z @ loss.moments.T
             return total
 
         return moments
@@ -86,9 +87,7 @@ class StructuralDamping(LinkEffect):
     def state_rates(self, chain: Chain) -> StateFunction | None:
         """Return how the elements follow the shapes and relax: z' = a' - z / tau."""
         part, loss = self.virtual_joints(chain), self.relaxation(chain)
-        shapes = np.tile(loss.shapes, loss.rates.size)
-        rates = np.repeat(loss.rates, loss.shapes.shape[1])
-        return lambda time, q, v, z: v[..., part] @ shapes - rates * z
+        return lambda time, q, v, z: v[..., part] @ loss.shapes - loss.rates * z
 
     def matrix(self, chain: Chain, payload: float) -> Array:
         """Return (nv, nv) C = M Phi diag(loss_factor omega) Phi^T M of the chain's modes at rest [N m s/rad]."""
@@ -116,10 +115,13 @@ class StructuralDamping(LinkEffect):
         loss = self.loss_factor * self.dispersion
         ratio, relaxing = 2 / np.pi * loss * _SPACING, np.arange(omega.size) < _RELAXING_SHAPES
         omega_shown = np.minimum(omega, _FASTEST / self.units(chain)[2])
-        phases = (first * times) ** 2
-        stiffness = np.where(
-            relaxing, -ratio * np.sum(phases / (1 + phases)), 2 / np.pi * loss * np.log(omega_shown / first)
+        # An element stands for time constants half a spacing longer and shorter, the slowest for all longer ones.
+        shares = np.clip(
+            0.5 + np.log(self.longest_time_constant / times) / _SPACING, 0.0, [np.inf, *np.ones(times.size - 1)]
         )
+        phases = (first * times) ** 2
+        added = -ratio * np.sum(shares * phases / (1 + phases))
+        stiffness = np.where(relaxing, added, 2 / np.pi * loss * np.log(omega_shown / first))
         damping = np.where(relaxing, ratio * times[-1] / np.expm1(_SPACING), loss / omega_shown)
         moments = springs @ modes.shapes / omega  # K psi, with psi^T K psi = 1
         scale = np.sqrt(np.trace(springs) / len(springs))  # makes states angles [rad]
@@ -127,9 +129,9 @@ class StructuralDamping(LinkEffect):
         return _Loss(
             (moments * stiffness) @ moments.T,
             (moments * damping) @ moments.T,
-            ratio * scale * slow,
-            slow / scale,
-            1 / times,
+            np.kron(ratio * scale * shares, slow),
+            np.tile(slow / scale, times.size),
+            np.repeat(1 / times, slow.shape[1]),
         )
 
     def max_step(self, chain: Chain) -> float:
