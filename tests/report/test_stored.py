@@ -133,7 +133,7 @@ def test_a_value_at_its_bound_but_for_rounding_is_read(tmp_path: Path) -> None:
         {
             "effect": "structural_damping",
             "link": "upper",
-            "parameters": {"loss_factor": 0.30000000000000004},
+            "parameters": {"loss_factor": 0.30000000000000004, "dispersion": 1.0, "longest_time_constant": 60.0},
             "in_reference": False,
         }
     ]
