@@ -332,6 +332,21 @@ def test_structural_damping_loses_the_same_at_all_frequencies_and_stiffens_as_ca
     assert rest.imag == pytest.approx((1 - dispersion) * omega[0] * effect.matrix(chain, 0.0), abs=1e-9)
 
 
+@pytest.mark.parametrize("longest", [2.0, 10.0, 50.0])
+def test_structural_damping_ends_at_its_longest_time_constant(longest: float) -> None:
+    """An even spectrum of time constants up to T loses 2 eta / pi arctan(omega T) of the strain energy."""
+    chain, loss = chain_of(LINK, n=6, kelvin_voigt=0.0), 0.02
+    plain = StructuralDamping(loss_factor=loss, link=0)
+    end = longest * plain.units(chain)[2]
+    effect, part = replace(plain, dispersion=1.0, longest_time_constant=end), plain.virtual_joints(chain)
+    M, D, K, _ = linearise(chain)
+    modes = modes_of(M[part, part], D[part, part], K[part, part])
+    a = modes.shapes[:, 0] / (2 * np.pi * modes.frequencies[0])
+    for pulsation in np.geomspace(0.1, 10.0, 7) / end:
+        found = (a @ complex_stiffness(effect, chain, pulsation)[part, part] @ a).imag
+        assert found == pytest.approx(2 / np.pi * loss * np.arctan(pulsation * end), abs=0.03 * loss)
+
+
 def test_structural_damping_of_one_link_follows_its_share_of_the_energy() -> None:
     stiff = chain_of(replace(LINK, bending_stiffness=1e5), replace(FORE, bending_stiffness=0.5), n=3, kelvin_voigt=0.0)
     M, _, K, _ = linearise(stiff)

@@ -114,7 +114,6 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("base_compliance", "mass"): (0, 1, 0),
     ("linear_drag", "coefficient"): (-1, 1, -1),
     ("quadratic_drag", "coefficient"): (-2, 1, 0),
-    ("structural_damping", "longest_time_constant"): (0, 0, 1),
     ("viscoelastic_creep", "time_constant"): (0, 0, 1),
     ("cubic_stiffness", "coefficient"): (2, 0, 0),
     ("stiffness_drift", "rate"): (0, 0, -1),

@@ -57,7 +57,7 @@ class StructuralDamping(LinkEffect):
     clause = "structural damping in '{link}', loss factor {loss_factor}"
     assumptions = (
         "the same loss factor at all frequencies, along the link and at any bend; "
-        "full relaxation where a recording begins; that of more than 16 periods of the clamped link is as slow as that"
+        "full relaxation where a recording begins, in at most about 16 periods of the clamped link"
     )
     reference = (
         "H.-P. Liu, D. L. Anderson and H. Kanamori, Velocity dispersion due to anelasticity, Geophys. J. Royal "
