@@ -176,3 +176,15 @@ def test_a_memory_follows_the_angles_where_rates_do_not_add_up_to_them() -> None
     q, v = np.cumsum(random.normal(0, 1e-3, (2, time.size, arm.chain.size)), axis=1)
     z = arm.follow(time, q, v)
     assert z == pytest.approx((q - q[0])[:, arm.effects[0].virtual_joints(arm.chain)], abs=1e-6)
+
+
+@pytest.mark.parametrize("frames", [51, 1001])
+def test_what_relaxes_between_two_instants_is_followed(frames: int) -> None:
+    """Maxwell elements of a thousandth of a frame have the deflection that their dampers then leave, rate times tau."""
+    arm = Arm.of(chain_of(), (ViscoelasticCreep(link=0, ratio=0.05, time_constant=2e-4),))
+    time = np.linspace(0.0, 2.0, frames)
+    angle = 2 * np.pi * time[:, None] * np.ones(arm.chain.size)
+    q, v = 0.1 * np.sin(angle), 0.2 * np.pi * np.cos(angle)
+    z = arm.follow(time, q, v)
+    part = arm.effects[0].virtual_joints(arm.chain)
+    assert z[1:] == pytest.approx(2e-4 * v[1:, part], abs=0.05 * 2e-4 * 0.2 * np.pi)

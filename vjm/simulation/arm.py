@@ -12,7 +12,7 @@ import numpy as np
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, StateFunction, is_nonsmooth
 from vjm.model.urdf import chain_to_urdf, simulator_file
-from vjm.records import Array, Recording
+from vjm.records import Array, Indices, Recording
 from vjm.text import in_sentence
 
 T = TypeVar("T")
@@ -117,21 +117,29 @@ class Arm:
                 angles, as from one segment of a recording to the next, the angles count.
             z: (..., nz) at the first instant; None: those of a recording's start.
         """
-        states = np.empty((*time.shape, sum(self.state_counts)))
-        states[0] = self.initial_states(q[0]) if z is None else z
-        steps = np.diff(time, axis=0)[..., None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            missing = np.where(steps > 0, np.diff(q, axis=0) / steps, 0.0) - (v[:-1] + v[1:]) / 2
+        start = self.initial_states(q[0]) if z is None else z
+        states = np.broadcast_to(start, (*time.shape, sum(self.state_counts)))
         if not states.size:
             return states
-        first, last = v[:-1] + missing, v[1:] + missing
+        durations = np.diff(time, axis=0)[..., None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            missing = np.where(durations > 0, np.diff(q, axis=0) / durations, 0.0) - (v[:-1] + v[1:]) / 2
+        # What relaxes or yields in less than the time between two instants is followed in several steps.
+        longest = durations.reshape(len(durations), -1).max(axis=1, initial=0.0)
+        counts = np.maximum(np.ceil(longest / self._longest_state_step - 1e-6), 1).astype(int)  # but for rounding
+        interval, ends = np.repeat(np.arange(counts.size), counts), np.cumsum(counts)
+        share = (np.arange(interval.size) - (ends - counts)[interval]) / counts[interval]
+        share_after, duration = share + 1 / counts[interval], (durations.T / counts).T[interval]
+        before, after = ([_between(values, interval, at) for values in (time, q, v)] for at in (share, share_after))
         # A single effect's rates without the array for all effects': there are many short steps.
         rates = self._state_rates[0][0] if len(self.effects) == 1 else self.state_rates
-        for k, step in enumerate(steps):
-            slope = rates(time[k], q[k], first[k], states[k])
-            end_slope = rates(time[k + 1], q[k + 1], last[k], states[k] + step * slope)
-            states[k + 1] = states[k] + step / 2 * (slope + end_slope)
-        return states
+        steps = [start]
+        for k, step in enumerate(duration):
+            slope = rates(before[0][k], before[1][k], before[2][k] + missing[interval[k]], steps[-1])
+            guess = steps[-1] + step * slope
+            end_slope = rates(after[0][k], after[1][k], after[2][k] + missing[interval[k]], guess)
+            steps.append(steps[-1] + step / 2 * (slope + end_slope))
+        return np.stack([np.broadcast_to(steps[at], states.shape[1:]) for at in (0, *ends)])
 
     def urdf(self) -> str:
         """Return the URDF of the chain, with dry friction at its active joints.
@@ -195,6 +203,12 @@ class Arm:
         return min((effect.max_step(self.chain) for effect in self.effects), default=np.inf)
 
     @cached_property
+    def _longest_state_step(self) -> float:
+        """Time step that the internal states allow [s]."""
+        stateful = zip(self.effects, self.state_counts, strict=True)
+        return min((effect.max_step(self.chain) for effect, count in stateful if count), default=np.inf)
+
+    @cached_property
     def sensors(self) -> tuple[Effect, ...]:
         """Effects on the sensors."""
         return tuple(effect for effect in self.effects if effect.sensor)
@@ -251,3 +265,9 @@ class Arm:
         """Return the results of a hook, with the internal states of their effects; None is left out."""
         results = [(hook(effect), part) for effect, part in zip(self.effects, self._state_slices, strict=True)]
         return [(result, part) for result, part in results if result is not None]
+
+
+def _between(values: Array, interval: Indices, share: Array) -> Array:
+    """Interpolate values (I, ...) of instants linearly, at shares (S,) of intervals (S,) between them."""
+    share = share.reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(values[interval] + share * (values[interval + 1] - values[interval]))
