@@ -73,7 +73,7 @@ class StructuralDamping(LinkEffect):
 
     def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the moments of the modes' dampers and of the relaxing elements."""
-        part, loss, damping = self.virtual_joints(chain), self.relaxation(chain), self.matrix(chain, payload)
+        part, loss, damping = self.virtual_joints(chain), self.relaxation(chain), self.modal_damping(chain, payload)
         damping = (1 - self.dispersion) * damping
         damping[part, part] += loss.damping
 
@@ -89,7 +89,7 @@ class StructuralDamping(LinkEffect):
         part, loss = self.virtual_joints(chain), self.relaxation(chain)
         return lambda time, q, v, z: v[..., part] @ loss.shapes - loss.rates * z
 
-    def matrix(self, chain: Chain, payload: float) -> Array:
+    def modal_damping(self, chain: Chain, payload: float) -> Array:
         """Return (nv, nv) C = M Phi diag(loss_factor omega) Phi^T M of the chain's modes at rest [N m s/rad]."""
         M, D, K, _ = linearise(chain, payload, (0.0, 0.0))
         modes = modes_of(M, D, K)
@@ -115,10 +115,11 @@ class StructuralDamping(LinkEffect):
         loss = self.loss_factor * self.dispersion
         ratio, relaxing = 2 / np.pi * loss * _SPACING, np.arange(omega.size) < _RELAXING_SHAPES
         omega_shown = np.minimum(omega, _FASTEST / self.units(chain)[2])
-        # An element stands for time constants half a spacing longer and shorter, the slowest for all longer ones.
-        shares = np.clip(
-            0.5 + np.log(self.longest_time_constant / times) / _SPACING, 0.0, [np.inf, *np.ones(times.size - 1)]
-        )
+        # A time constant between those of two elements is shared by them, linearly in its logarithm; the slowest has all
+        # longer ones. What an element gets up to the longest is the integral of that, which has no kink.
+        beyond = np.log(self.longest_time_constant / times) / _SPACING
+        shares = 0.5 + 0.5 * (1 + np.clip(beyond, -1.0, 0.0)) ** 2 - 0.5 * (1 - np.clip(beyond, 0.0, 1.0)) ** 2
+        shares[0] = 0.5 * (1 + np.clip(beyond[0], -1.0, 0.0)) ** 2 + max(beyond[0], 0.0)
         phases = (first * times) ** 2
         added = -ratio * np.sum(shares * phases / (1 + phases))
         stiffness = np.where(relaxing, added, 2 / np.pi * loss * np.log(omega_shown / first))
