@@ -271,7 +271,7 @@ def test_structural_damping_gives_every_mode_half_the_loss_factor(links: Sequenc
     chain = chain_of(*links, n=3, kelvin_voigt=0.0)
     effects = [StructuralDamping(loss_factor=0.02, link=i) for i in range(len(links))]
     M, _, K, _ = linearise(chain, 0.05)
-    C = sum(effect.matrix(chain, 0.05) for effect in effects)
+    C = sum(effect.modal_damping(chain, 0.05) for effect in effects)
     assert modes_of(M, C, K).damping_ratios == pytest.approx(0.01)
     # No loss without bending: a rigid turn, or a link with none of the strain energy.
     if links == (LINK,):
@@ -329,7 +329,7 @@ def test_structural_damping_loses_the_same_at_all_frequencies_and_stiffens_as_ca
     # The rest is a damper in each mode.
     rest = complex_stiffness(effect, chain, omega[0]) - complex_stiffness(relaxing, chain, omega[0])
     assert rest.real == pytest.approx(0.0, abs=1e-9)
-    assert rest.imag == pytest.approx((1 - dispersion) * omega[0] * effect.matrix(chain, 0.0), abs=1e-9)
+    assert rest.imag == pytest.approx((1 - dispersion) * omega[0] * effect.modal_damping(chain, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize("longest", [2.0, 10.0, 50.0])
@@ -351,7 +351,8 @@ def test_structural_damping_of_one_link_follows_its_share_of_the_energy() -> Non
     stiff = chain_of(replace(LINK, bending_stiffness=1e5), replace(FORE, bending_stiffness=0.5), n=3, kelvin_voigt=0.0)
     M, _, K, _ = linearise(stiff)
     ratios = [
-        modes_of(M, StructuralDamping(loss_factor=0.02, link=i).matrix(stiff, 0.0), K).damping_ratios[0] for i in (0, 1)
+        modes_of(M, StructuralDamping(loss_factor=0.02, link=i).modal_damping(stiff, 0.0), K).damping_ratios[0]
+        for i in (0, 1)
     ]
     assert ratios[0] < 1e-6
     assert ratios[1] == pytest.approx(0.01, rel=1e-3)

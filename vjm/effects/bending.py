@@ -115,8 +115,8 @@ class StructuralDamping(LinkEffect):
         loss = self.loss_factor * self.dispersion
         ratio, relaxing = 2 / np.pi * loss * _SPACING, np.arange(omega.size) < _RELAXING_SHAPES
         omega_shown = np.minimum(omega, _FASTEST / self.units(chain)[2])
-        # A time constant between those of two elements is shared by them, linearly in its logarithm; the slowest has all
-        # longer ones. What an element gets up to the longest is the integral of that, which has no kink.
+        # Two elements share the time constants between theirs, linearly in the logarithm; the slowest has all longer
+        # ones. What an element gets up to the longest is the integral of that, which has no kink.
         beyond = np.log(self.longest_time_constant / times) / _SPACING
         shares = 0.5 + 0.5 * (1 + np.clip(beyond, -1.0, 0.0)) ** 2 - 0.5 * (1 - np.clip(beyond, 0.0, 1.0)) ** 2
         shares[0] = 0.5 * (1 + np.clip(beyond[0], -1.0, 0.0)) ** 2 + max(beyond[0], 0.0)
