@@ -51,7 +51,8 @@ class StructuralDamping(LinkEffect):
 
     loss_factor: float = magnitude("", 0.01, lower=0.0, upper=0.3)
     dispersion: float = shape_parameter("", 1.0, upper=1.0, power=1, grid=(1.0,))
-    longest_time_constant: float = shape_parameter("s", 60.0, lower=1.0, upper=1e5, in_rig_units=True)
+    # Up to a decade beyond the slowest element, which stands for all longer ones.
+    longest_time_constant: float = shape_parameter("s", 60.0, lower=1.0, upper=280.0, in_rig_units=True)
 
     description = "structural damping: rate-independent bending loss"
     clause = "structural damping in '{link}', loss factor {loss_factor}"
