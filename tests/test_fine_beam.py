@@ -153,6 +153,7 @@ def test_undamped_swing_under_gravity_keeps_its_energy() -> None:
     assert np.ptp(motion.energy) < 1e-6 * np.abs(motion.energy).max()
 
 
+@pytest.mark.slow
 def test_undamped_clamped_beam_keeps_its_energy() -> None:
     beam = replace(CLAMPED, kelvin_voigt_time=0.0)
     energy = simulate(
@@ -217,6 +218,7 @@ def test_hub_driven_motion_is_converged() -> None:
     assert np.abs(positions - more_functions).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_demo_motion_is_converged() -> None:
     short = RECORDINGS[3]._replace(duration=2.0)
     default = simulate_recording(short).positions(MARKERS)

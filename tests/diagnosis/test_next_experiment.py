@@ -32,7 +32,7 @@ def fitted(recordings: Sequence[Recording], *effects: Effect) -> list[Trajectory
     return [each for each in found if each is not None]
 
 
-@pytest.mark.parametrize("seed", [7, 8, 9])
+@pytest.mark.parametrize("seed", [7, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8, 9))])
 def test_what_a_recording_is_worth_is_known_before_it_is_made(seed: int) -> None:
     """Another amplitude tells what depends on it from what does not; and once it is recorded, it does."""
     small = drives(CUBIC, seed)[:1]

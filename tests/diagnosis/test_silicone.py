@@ -28,6 +28,7 @@ def shortened(duration: float) -> vjm.Experiment:
     return replace(experiment, recordings=tuple(first_seconds(each, duration) for each in experiment.recordings))
 
 
+@pytest.mark.slow
 def test_a_mass_on_the_tip_is_not_told_from_a_taper() -> None:
     """The taper leaves less, but what either leaves is no white noise."""
     rivals = ["tip_payload", "taper", "viscoelastic_creep"]

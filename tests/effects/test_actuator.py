@@ -29,7 +29,12 @@ BOTH_WAYS = [
         Physics(cogging_amplitude=0.006, cogging_count=40.0, cogging_phase=0.5),
         2e-3,
     ),
-    (Stribeck(torque=0.006, speed=0.12), Physics(stribeck_torque=0.006, stribeck_speed=0.12), 2e-2),
+    pytest.param(
+        Stribeck(torque=0.006, speed=0.12),
+        Physics(stribeck_torque=0.006, stribeck_speed=0.12),
+        2e-2,
+        marks=pytest.mark.slow,
+    ),
 ]
 
 

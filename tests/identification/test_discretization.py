@@ -99,7 +99,9 @@ def test_a_correction_that_leads_away_from_the_recordings_is_dropped(size: float
     assert corrected is None or corrected.misfit == pytest.approx(fit.misfit, rel=1e-3)
 
 
-@pytest.mark.parametrize(("times_less_noise", "kept"), [(1, True), (16, True), (32, False)])
+@pytest.mark.parametrize(
+    ("times_less_noise", "kept"), [pytest.param(1, True, marks=pytest.mark.slow), (16, True), (32, False)]
+)
 def test_a_correction_whose_own_error_would_show_is_dropped(times_less_noise: float, kept: bool) -> None:
     """Of a bias of 1.5 (of 16) standard errors a ninth, the extrapolation's part, hides in the noise; of 3 it shows."""
     fit = identified("hub", 1)

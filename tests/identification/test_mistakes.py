@@ -486,7 +486,7 @@ def carrying(experiment: Experiment, *by_recording: float) -> Experiment:
 
 
 @pytest.mark.parametrize("joint", ["revolute", "clamped"])
-@pytest.mark.parametrize("gravity", [(0.0, 0.0), (9.81, 0.0)])
+@pytest.mark.parametrize("gravity", [pytest.param((0.0, 0.0), marks=pytest.mark.slow), (9.81, 0.0)])
 @pytest.mark.parametrize(
     ("payloads", "wrong"),
     [
@@ -554,7 +554,7 @@ VISCOUS, DRY = ViscousFriction(coefficient=0.004, link=0), CoulombFriction(torqu
     [
         *(((0.0, 0.0), turning, friction) for turning in (0.5, 6.0) for friction in ((), (VISCOUS,))),
         *(((9.81, 0.0), 0.0, friction) for friction in ((), (VISCOUS,))),
-        ((0.0, 0.0), 6.0, (DRY,)),
+        pytest.param((0.0, 0.0), 6.0, (DRY,), marks=pytest.mark.slow),
         pytest.param((0.0, 0.0), 0.5, (DRY,), marks=pytest.mark.slow),
         pytest.param((9.81, 0.0), 0.0, (DRY,), marks=pytest.mark.slow),
     ],
@@ -595,7 +595,7 @@ def test_zeros_for_what_was_not_tracked_are_left_out(rig: Callable[[], Experimen
 @pytest.mark.parametrize("rig", BOTH)
 @pytest.mark.parametrize("marker", [0, 2, 4])
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (0.3, -0.2), (0.9, -0.6), (1.0, 2.0)])
-@pytest.mark.parametrize("share", [0.1, 0.4, 0.6, 1.0])
+@pytest.mark.parametrize("share", [0.1, *(pytest.param(share, marks=pytest.mark.slow) for share in (0.4, 0.6)), 1.0])
 def test_zeros_of_one_marker_are_no_mistake_of_another_kind(
     rig: Callable[[], Experiment], marker: int, origin: tuple[float, float], share: float
 ) -> None:

@@ -47,7 +47,7 @@ def figures(of: Callable[[], Symptoms]) -> list[Figure]:
         return [picture.figure for picture in symptom_pictures(of())]
 
 
-@pytest.mark.parametrize("of", [wrong, right])
+@pytest.mark.parametrize("of", [wrong, pytest.param(right, marks=pytest.mark.slow)])
 def test_every_figure_is_readable(of: Callable[[], Symptoms]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -22,7 +22,7 @@ from vjm.report.output import result_page
 from vjm.report.text import recording_label
 
 
-@pytest.mark.parametrize("result", [demo_fit, elbow_fit, undecided, nothing])
+@pytest.mark.parametrize("result", [demo_fit, elbow_fit, pytest.param(undecided, marks=pytest.mark.slow), nothing])
 def test_embedded_numbers_are_those_of_the_records(result: object) -> None:
     assert callable(result)
     found: Identification | Diagnosis = result()

@@ -192,7 +192,7 @@ def test_damping_only_takes_energy_away() -> None:
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("mode", [0, 1, 2])
+@pytest.mark.parametrize("mode", [0, pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_small_vibration_is_its_mode_s(integrator: str, mode: int) -> None:
     """x(t) = shape Re[(1 + i c) exp(r t)], r = -zeta w + i w sqrt(1 - zeta^2), at rest at t = 0."""
     chain = arm_of(steel_link(5, kelvin_voigt=1e-3))

@@ -114,7 +114,7 @@ def test_vibration_about_the_sag_is_the_beam_s(gravity: tuple[float, float]) -> 
     np.testing.assert_allclose(found, expected, rtol=1.5e-3)
 
 
-@pytest.mark.parametrize("swing", [0.05, 0.15])
+@pytest.mark.parametrize("swing", [pytest.param(0.05, marks=pytest.mark.slow), 0.15])
 def test_a_decay_follows_the_independent_beam(swing: float) -> None:
     """Let go from a static pull: eight joints follow the beam for five seconds within 0.3 % of the swing."""
     beam = Beam(1.0, 0.44, 1.97, kelvin_voigt_time=3e-4)

@@ -211,7 +211,7 @@ def runs_from_rest(arm: Arm, observed: list[Observations]) -> list[Run]:
     ("effect", "name", "change"),
     [
         (Backlash(link=0, gap=0.004, motor_share=0.4), "gap", 4e-5),
-        (Backlash(link=0, gap=0.004, motor_share=0.4), "motor_share", 1e-2),
+        pytest.param(Backlash(link=0, gap=0.004, motor_share=0.4), "motor_share", 1e-2, marks=pytest.mark.slow),
         (CoulombFriction(link=0, torque=0.01), "torque", 1e-4),
     ],
 )
@@ -248,7 +248,7 @@ def rubbing(name: str) -> tuple[Arm, dict[str, tuple[Arm, float]], float]:
     return Arm.of(chain, friction), moved, 0.05 if name == "two links" else 0.15
 
 
-@pytest.mark.parametrize("name", ["one joint", "Stribeck", "two links"])
+@pytest.mark.parametrize("name", [pytest.param("one joint", marks=pytest.mark.slow), "Stribeck", "two links"])
 def test_derivatives_of_what_sticks_are_differences_of_simulations(name: str) -> None:
     """Each unknown is changed and simulated alone; the arm begins in motion, as at rest a joint slips either way."""
     arm, moved, size = rubbing(name)
