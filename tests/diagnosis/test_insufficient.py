@@ -45,7 +45,9 @@ CASES: dict[str, tuple[Callable[[Sequence[Recording]], Sequence[Recording]], str
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "nothing but the reference")) for case in CASES]
+)
 def test_what_supports_no_statement_names_no_cause(case: str) -> None:
     change, reason = CASES[case]
     diagnosis = vjm.diagnose(changed(change), effects=FEW)

@@ -7,7 +7,9 @@ from vjm.identification.records import Identification
 
 
 # Of the two with a driven joint, the elbow's is always drawn.
-@pytest.fixture(params=[pytest.param(name, marks=[pytest.mark.slow] * (name in ("hub", "torque"))) for name in FITS])
+@pytest.fixture(
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name in ("demo", "hub", "torque"))) for name in FITS]
+)
 def fit(request: pytest.FixtureRequest) -> Identification:
     name: str = request.param
     if name in ("hub", "silicone") and not SHARED.is_dir():
