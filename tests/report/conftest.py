@@ -6,7 +6,7 @@ from tests.report.fits import FITS, SHARED
 from vjm.identification.records import Identification
 
 
-# Of the two with a driven joint, the elbow's is always drawn.
+# Of those with driven joints the elbow's is always drawn, the others' in the slow suite.
 @pytest.fixture(
     params=[pytest.param(name, marks=[pytest.mark.slow] * (name in ("demo", "hub", "torque"))) for name in FITS]
 )
