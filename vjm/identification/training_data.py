@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
 
@@ -39,6 +39,7 @@ class PreparedRecording(Record):
     # (nv, r) maps torque errors to those that the data determine: passive ones along the shape functions, active ones
     # where a torque was measured.
     rows: Array
+    _measured: dict[tuple[float, int], MeasuredModes] = field(default_factory=dict, repr=False, compare=False)
 
     def errors(self, chain: Chain, at: Mask | slice = slice(None)) -> Array:
         """Return torque errors (S, nv) of a chain (eq. 14) `at` some instants [N m]; NaN without measured torque."""
@@ -84,10 +85,13 @@ class PreparedRecording(Record):
 
     def modes(self, marker_noise: float, most: int) -> MeasuredModes:
         """Measure at most so many modes in the whitened shape coefficients; `marker_noise` in [m]."""
-        signals = [
-            shape.coefficients @ np.linalg.cholesky(np.linalg.inv(shape.covariance)) for shape in self.angles.shapes
-        ]
-        return measure_modes(self.angles.time, np.hstack(signals), marker_noise, most, self.driving_torque)
+        if (marker_noise, most) not in self._measured:
+            whitened = [
+                shape.coefficients @ np.linalg.cholesky(np.linalg.inv(shape.covariance)) for shape in self.angles.shapes
+            ]
+            modes = measure_modes(self.angles.time, np.hstack(whitened), marker_noise, most, self.driving_torque)
+            self._measured[marker_noise, most] = modes
+        return self._measured[marker_noise, most]
 
 
 @dataclass(frozen=True)
