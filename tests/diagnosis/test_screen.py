@@ -248,7 +248,7 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("frequency", [1.7, 2.6, 3.4, 7.7])
+@pytest.mark.parametrize("frequency", [1.7, *(pytest.param(each, marks=pytest.mark.slow) for each in (2.6, 3.4)), 7.7])
 def test_a_tone_explains_more_than_its_images_by_the_initial_states_of_segments(frequency: float, seed: int) -> None:
     """In segments of half a second the residuals of all but the first have a higher peak 2 or 4 Hz away."""
     tone = replace(sized(bound(ExternalTone()), 1.0), frequency=frequency)

@@ -28,7 +28,7 @@ from tests.diagnosis.trajectories import (
 from vjm.diagnosis.symptoms import Symptoms
 
 Array = NDArray[np.float64]
-seeds = pytest.mark.parametrize("seed", range(3))
+seeds = pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 
 
 @seeds

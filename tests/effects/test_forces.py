@@ -207,7 +207,7 @@ def test_a_joint_stops_at_once_and_starts_if_pushed_harder(
         assert end == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("torque", [1e-3, 0.008, 0.05])
+@pytest.mark.parametrize("torque", [1e-3, pytest.param(0.008, marks=pytest.mark.slow), 0.05])
 def test_dry_friction_sticks_slips_and_sticks_again(torque: float) -> None:
     """A rigid link on a hub, pushed gently, more than friction holds, and no more: by Coulomb's law, in closed form."""
     stiff = replace(HUB, links=tuple(replace(link, stiffness=300 * link.stiffness) for link in HUB.links))

@@ -160,7 +160,7 @@ def test_effects_with_a_memory_remember_the_motion_before_a_segment(effect: Effe
     remembering = 0.0
     # Beside a shorter recording and a longer one, which are followed together.
     shorter = np.arange(3.0), path.q[:3], path.v[:3]
-    longer = np.r_[path.elapsed(path.time), 1e3], np.r_[path.q, path.q[:1]], np.r_[path.v, path.v[:1]]
+    longer = np.r_[path.elapsed(path.time), 10.0], np.r_[path.q, path.q[:1]], np.r_[path.v, path.v[:1]]
     own = {whole.observed.recording.file: (path.elapsed(path.time), path.q, path.v)}
     preceding = PrecedingMotions.of(whole.chain, {"shorter": shorter, **own, "longer": longer})
     for part in parts:
