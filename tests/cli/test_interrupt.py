@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import pty
 import re
@@ -17,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from tests.report.fits import DEMO
-from vjm.cli import _Interrupts, main
+from vjm.cli import _Interrupts, commands, main
 
 _PATIENCE = 60.0  # s, on a busy machine
 
@@ -94,6 +95,20 @@ def test_the_command_ends_with_one_line(stage: str, delay: float, command: tuple
     assert "Traceback" not in said
     assert "Error" not in said
     assert not (tmp_path / "out").exists()
+
+
+def test_the_last_line_is_not_left_to_a_bar_that_has_just_begun(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A bar replaces the stream of errors, and is not ended where Ctrl-C is pressed before its block begins."""
+
+    def interrupted_by_a_bar(_: object) -> None:
+        sys.stderr = io.StringIO()
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(commands.COMMANDS, "check", interrupted_by_a_bar)
+    assert main(["check", str(DEMO)]) == 130
+    assert capsys.readouterr().err == "vjm: interrupted\n"
 
 
 # Presses Ctrl-C when a module is looked for.

@@ -25,11 +25,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the shell
             setattr(sys, stream, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-    interrupts = _Interrupts()
+    interrupts, stderr = _Interrupts(), sys.stderr
     try:
         return _run(argv, interrupts)
     except KeyboardInterrupt:
         interrupts.end()
+        # A progress bar that had just begun still stands in for it, and hides the cursor.
+        sys.stderr = stderr
+        if stderr.isatty():
+            stderr.write("\x1b[?25h")
         if argv is None:
             # The process ends. Python would end it by the signal where an `exec` was interrupted, as of a dataclass,
             # and with a traceback where Ctrl-C is pressed again.
