@@ -97,8 +97,16 @@ def test_the_command_ends_with_one_line(stage: str, delay: float, command: tuple
     assert not (tmp_path / "out").exists()
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("stream", "said"), [(io.StringIO(), "vjm: interrupted\n"), (Terminal(), "\r\x1b[2K\x1b[?25hvjm: interrupted\n")]
+)
 def test_the_last_line_is_not_left_to_a_bar_that_has_just_begun(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    stream: io.StringIO, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bar replaces the stream of errors, and is not ended where Ctrl-C is pressed before its block begins."""
 
@@ -106,9 +114,11 @@ def test_the_last_line_is_not_left_to_a_bar_that_has_just_begun(
         sys.stderr = io.StringIO()
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setitem(commands.COMMANDS, "check", interrupted_by_a_bar)
     assert main(["check", str(DEMO)]) == 130
-    assert capsys.readouterr().err == "vjm: interrupted\n"
+    assert sys.stderr is stream
+    assert stream.getvalue() == said
 
 
 # Presses Ctrl-C when a module is looked for.

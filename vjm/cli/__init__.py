@@ -30,10 +30,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _run(argv, interrupts)
     except KeyboardInterrupt:
         interrupts.end()
-        # A progress bar that had just begun still stands in for it, and hides the cursor.
+        # A progress bar that had just begun still stands in for it, is in the line, and hides the cursor.
         sys.stderr = stderr
         if stderr.isatty():
-            stderr.write("\x1b[?25h")
+            stderr.write("\r\x1b[2K\x1b[?25h")
         if argv is None:
             # The process ends. Python would end it by the signal where an `exec` was interrupted, as of a dataclass,
             # and with a traceback where Ctrl-C is pressed again.
