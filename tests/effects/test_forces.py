@@ -347,6 +347,17 @@ def test_structural_damping_ends_at_its_longest_time_constant(longest: float) ->
         assert found == pytest.approx(2 / np.pi * loss * np.arctan(pulsation * end), abs=0.03 * loss)
 
 
+def test_structural_damping_has_no_kink_along_its_longest_time_constant() -> None:
+    """A fit would stay at one, where slopes on either side promise what no step keeps."""
+    chain = chain_of(LINK, n=6, kelvin_voigt=0.0)
+    plain = StructuralDamping(loss_factor=0.02, dispersion=1.0, link=0)
+    ends = np.linspace(np.log(1.0), np.log(280.0), 1001)
+    effects = (replace(plain, longest_time_constant=float(np.exp(end)) * plain.units(chain)[2]) for end in ends)
+    slopes = np.diff([effect.relaxation(chain).moments for effect in effects], axis=0)
+    # Intervals are 0.4 % of the elements' spacing, over which a slope changes by as much of the largest.
+    assert np.abs(np.diff(slopes, axis=0)).max() < 0.01 * np.abs(slopes).max()
+
+
 def test_structural_damping_of_one_link_follows_its_share_of_the_energy() -> None:
     stiff = chain_of(replace(LINK, bending_stiffness=1e5), replace(FORE, bending_stiffness=0.5), n=3, kelvin_voigt=0.0)
     M, _, K, _ = linearise(stiff)

@@ -52,7 +52,9 @@ class StructuralDamping(LinkEffect):
     loss_factor: float = magnitude("", 0.01, lower=0.0, upper=0.3)
     dispersion: float = shape_parameter("", 1.0, upper=1.0, power=1, grid=(1.0,))
     # Up to a decade beyond the slowest element, which stands for all longer ones.
-    longest_time_constant: float = shape_parameter("s", 60.0, lower=1.0, upper=280.0, in_rig_units=True)
+    longest_time_constant: float = shape_parameter(
+        "s", 60.0, lower=1.0, upper=10.0 * float(_RELAXATION_TIMES[0]), in_rig_units=True
+    )
 
     description = "structural damping: rate-independent bending loss"
     clause = "structural damping in '{link}', loss factor {loss_factor}"
@@ -119,8 +121,9 @@ class StructuralDamping(LinkEffect):
         # Two elements share the time constants between theirs, linearly in the logarithm; the slowest has all longer
         # ones. What an element gets up to the longest is the integral of that, which has no kink.
         beyond = np.log(self.longest_time_constant / times) / _SPACING
-        shares = 0.5 + 0.5 * (1 + np.clip(beyond, -1.0, 0.0)) ** 2 - 0.5 * (1 - np.clip(beyond, 0.0, 1.0)) ** 2
-        shares[0] = 0.5 * (1 + np.clip(beyond[0], -1.0, 0.0)) ** 2 + max(beyond[0], 0.0)
+        rising, falling = 0.5 * (1 + np.clip(beyond, -1.0, 0.0)) ** 2, 0.5 * (1 - np.clip(beyond, 0.0, 1.0)) ** 2
+        shares = rising + 0.5 - falling
+        shares[0] = rising[0] + max(beyond[0], 0.0)
         phases = (first * times) ** 2
         added = -ratio * np.sum(shares * phases / (1 + phases))
         stiffness = np.where(relaxing, added, 2 / np.pi * loss * np.log(omega_shown / first))
