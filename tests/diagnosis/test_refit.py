@@ -83,7 +83,8 @@ def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -
     assert found.effects[0].values["motor_share"] == pytest.approx(0.35, abs=0.02)
 
 
-@pytest.mark.parametrize("damping", [pytest.param(damping, marks=pytest.mark.slow) for damping in (0.0, 0.05, 0.3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [0.0, 0.05, 0.3])
 def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> None:
     """At zero it ends at its bound; what is found of the gear beside it is as certain as anywhere."""
     truth = GearElasticity(link=0, stiffness=56.0, motor_share=0.35, damping=damping)

@@ -180,7 +180,7 @@ def test_a_memory_follows_the_angles_where_rates_do_not_add_up_to_them() -> None
 
 @pytest.mark.parametrize("frames", [51, 1001])
 def test_what_relaxes_between_two_instants_is_followed(frames: int) -> None:
-    """Maxwell elements of a thousandth of a frame have the deflection that their dampers then leave, rate times tau."""
+    """Elements that relax in a tenth of a frame, or less, are deflected as dampers are: by rate times time constant."""
     arm = Arm.of(chain_of(), (ViscoelasticCreep(link=0, ratio=0.05, time_constant=2e-4),))
     time = np.linspace(0.0, 2.0, frames)
     angle = 2 * np.pi * time[:, None] * np.ones(arm.chain.size)

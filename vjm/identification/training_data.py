@@ -39,6 +39,7 @@ class PreparedRecording(Record):
     # (nv, r) maps torque errors to those that the data determine: passive ones along the shape functions, active ones
     # where a torque was measured.
     rows: Array
+    # Modes by noise and number: a fit and its report ask for the same, and measuring takes seconds.
     _measured: dict[tuple[float, int], MeasuredModes] = field(default_factory=dict, repr=False, compare=False)
 
     def errors(self, chain: Chain, at: Mask | slice = slice(None)) -> Array:

@@ -133,13 +133,13 @@ class Arm:
         before, after = ([_between(values, interval, at) for values in (time, q, v)] for at in (share, share_after))
         # A single effect's rates without the array for all effects': there are many short steps.
         rates = self._state_rates[0][0] if len(self.effects) == 1 else self.state_rates
-        steps = [start]
+        followed = [start]
         for k, step in enumerate(duration):
-            slope = rates(before[0][k], before[1][k], before[2][k] + missing[interval[k]], steps[-1])
-            guess = steps[-1] + step * slope
+            slope = rates(before[0][k], before[1][k], before[2][k] + missing[interval[k]], followed[-1])
+            guess = followed[-1] + step * slope
             end_slope = rates(after[0][k], after[1][k], after[2][k] + missing[interval[k]], guess)
-            steps.append(steps[-1] + step / 2 * (slope + end_slope))
-        return np.stack([np.broadcast_to(steps[at], states.shape[1:]) for at in (0, *ends)])
+            followed.append(followed[-1] + step / 2 * (slope + end_slope))
+        return np.stack([np.broadcast_to(followed[at], states.shape[1:]) for at in (0, *ends)])
 
     def urdf(self) -> str:
         """Return the URDF of the chain, with dry friction at its active joints.
