@@ -177,8 +177,8 @@ import sys
 import vjm.cli
 
 class Interrupts(vjm.cli._Interrupts):
-    def __init__(self):
-        super().__init__()
+    def begin(self):
+        super().begin()
         print(flush=True)
 
 vjm.cli._Interrupts = Interrupts
@@ -201,6 +201,22 @@ def test_a_command_that_has_just_started_is_interrupted_quietly(delay: float, tm
     assert not (tmp_path / "vjm-identify").exists()
 
 
+def test_ctrl_c_as_soon_as_the_handler_stands_is_quiet(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begin = _Interrupts.begin
+
+    def interrupted_at_once(self: _Interrupts) -> None:
+        begin(self)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(_Interrupts, "begin", interrupted_at_once)
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
+    assert main(["check", str(DEMO)]) == 130
+    assert capsys.readouterr().err == "vjm: interrupted\n"
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
+
+
 def test_nothing_slow_is_imported_before_the_handler() -> None:
     """Ctrl-C ends in a traceback before; it must be over in a millisecond or two."""
     slow = {"argparse", "dataclasses", "inspect", "pathlib", "shlex", "threading", "typing", "warnings"}
@@ -218,6 +234,7 @@ def test_an_interrupt_that_is_dropped_is_told_again() -> None:
 
     before = signal.getsignal(signal.SIGINT)
     interrupts = _Interrupts()
+    interrupts.begin()
     try:
         thing = Thing()
         reference = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGINT))

@@ -27,6 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             setattr(sys, stream, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
     interrupts, stderr = _Interrupts(), sys.stderr
     try:
+        interrupts.begin()
         return _run(argv, interrupts)
     except KeyboardInterrupt:
         interrupts.end()
@@ -102,6 +103,9 @@ class _Interrupts:
         self.any = False
         self._previous_handlers: dict[int, Any] = {}
         self._unraisable = sys.unraisablehook
+
+    def begin(self) -> None:
+        """Set the handlers of both signals, and Python's hook."""
         try:
             for number in (signal.SIGINT, signal.SIGALRM):
                 self._previous_handlers[number] = signal.signal(number, self._interrupt)
