@@ -1,4 +1,4 @@
-"""How long until `import vjm` and `vjm --help` are done, as whole processes beside a Python that does nothing."""
+"""How long until `import vjm`, `vjm --help` and a fault in a file are done, beside a Python that does nothing."""
 
 import subprocess
 import sys
@@ -8,17 +8,21 @@ from pathlib import Path
 import numpy as np
 from clock import header, in_turns, line
 
+WRONG = str(Path(__file__))  # no experiment file, as its first line says
 COMMANDS = {
     "nothing": [sys.executable, "-c", "pass"],
     "import vjm": [sys.executable, "-c", "import vjm"],
     "vjm --help": [str(Path(sys.executable).with_name("vjm")), "--help"],
+    "vjm check, a wrong file": [str(Path(sys.executable).with_name("vjm")), "check", "--quiet", WRONG],
     "vjm.identify, first use": [sys.executable, "-c", "import vjm; vjm.identify"],
 }
 LIMITS = {"import vjm": 0.7, "vjm --help": 0.4}
 
 
 def run(command: list[str]) -> None:
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    status = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode
+    if status != (2 if WRONG in command else 0):
+        raise SystemExit(f"{' '.join(command)} ended with {status}")
 
 
 def main() -> None:

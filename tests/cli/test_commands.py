@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+import vjm
 from tests.model.chains import write_model
 from tests.model.urdf_contents import extension_from, robot_from, springs_from
 from tests.report.diagnoses import nothing, pair, undecided, unknown
@@ -66,12 +67,12 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
         progress("pretending", 1, 2)
         return fit
 
-    monkeypatch.setattr(commands, "identify", identify)
-    monkeypatch.setattr(commands, "compare", lambda *_, progress: compared())
+    monkeypatch.setattr(vjm, "identify", identify)
+    monkeypatch.setattr(vjm, "compare", lambda *_, progress: compared())
     monkeypatch.setattr(output, "identification_pictures", lambda fit: [])
     monkeypatch.setattr(output, "diagnosis_pictures", lambda _: [])
-    monkeypatch.setattr(commands, "diagnose", lambda *_, **__: undecided())
-    monkeypatch.setattr(commands, "check", lambda experiment: checked())
+    monkeypatch.setattr(vjm, "diagnose", lambda *_, **__: undecided())
+    monkeypatch.setattr(vjm, "check", lambda experiment: checked())
 
 
 @pytest.fixture
@@ -140,7 +141,7 @@ def test_diagnose_prints_the_finding(
         asked.append(options)
         return undecided() if options[0] is None else nothing()
 
-    monkeypatch.setattr(commands, "diagnose", diagnose)
+    monkeypatch.setattr(vjm, "diagnose", diagnose)
     status, out, err = run(capsys, "diagnose", DEMO, "-o", tmp_path / "out")
     assert (status, err) == (0, "")
     told = " ".join(out.split())
@@ -211,7 +212,7 @@ def test_check_of_hopeless_recordings_ends_with_status_2(
         "identification: nothing moves; excite it",
         tuple(overview(demo_fit().experiment.rig, one) for one in demo_fit().experiment.recordings),
     )
-    monkeypatch.setattr(commands, "check", lambda experiment: hopeless)
+    monkeypatch.setattr(vjm, "check", lambda experiment: hopeless)
     status, out, err = run(capsys, "check", DEMO, "-o", tmp_path / "out")
     assert status == 2
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["check.png"]
@@ -292,7 +293,7 @@ def test_places_that_cannot_be_written(
         (tmp_path / "mine" / name).write_text("mine")
     computed: list[str] = []
     for name in ("identify", "compare", "diagnose", "check"):
-        monkeypatch.setattr(commands, name, lambda *_, name=name, **__: computed.append(name))
+        monkeypatch.setattr(vjm, name, lambda *_, name=name, **__: computed.append(name))
     places = (file, tmp_path / "missing" / "out", file / "out", tmp_path / "mine", Path("/proc/out"))
     for place in places if sys.platform == "linux" else places[:-1]:
         for command in (
@@ -369,7 +370,7 @@ def test_failures_are_one_line_and_leave_nothing(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(commands, "identify", fail)
+    monkeypatch.setattr(vjm, "identify", fail)
     found, out, err = run(capsys, "identify", DEMO, "-o", tmp_path / "out")
     assert (found, out) == (status, "")
     assert text in err
@@ -461,7 +462,7 @@ def test_warnings_and_names_are_printed_as_they_are(
 ) -> None:
     fit = demo_fit()
     strange = Check(fit.experiment, ("[red]not markup[/red] :smile:", ""), np.array([1.0]), (4,), {})
-    monkeypatch.setattr(commands, "check", lambda experiment: strange)
+    monkeypatch.setattr(vjm, "check", lambda experiment: strange)
     assert "[red]not markup[/red] :smile:" in run(capsys, "check", DEMO)[1]
     result = json.loads(run(capsys, "check", DEMO, "--json")[1])
     assert result["warnings"][0] == "[red]not markup[/red] :smile:"

@@ -1,4 +1,7 @@
-"""The commands: each reads its input, computes, writes its folder, and prints what it found."""
+"""The commands: each reads its input, computes, writes its folder, and prints what it found.
+
+What takes long to import is imported when it is needed: a fault in an input file is told in a fraction of the time.
+"""
 
 from __future__ import annotations
 
@@ -12,35 +15,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as ProgressBar
 
-from vjm.chain.layout import nominal_chain, rig_layouts
+import vjm
 from vjm.cli.init import init, stdin_is_terminal
-from vjm.diagnosis import Diagnosis, diagnose
 from vjm.errors import MistakeError, ModelFileError, printable
-from vjm.experiment.load import load_experiment
 from vjm.files import check_file, check_folder, check_model_file, json_text, write_folder, write_models
-from vjm.identification import identify
-from vjm.identification.check import Check, check
-from vjm.identification.comparison import compare
-from vjm.identification.records import Comparison
-from vjm.identification.training_data import JointChoice
-from vjm.model.flexify import flexify
-from vjm.model.urdf import simulator_path
-from vjm.model.urdf_document import UrdfDocument, springs_of
-from vjm.records import Progress
-from vjm.report.figures.check import check_picture
-from vjm.report.model_json import load_model, read_model
-from vjm.report.output import REPORT, check_result_folder, result_page, save
-from vjm.report.result_json import flexify_result, result_object, urdf_result
-from vjm.simulation.model import Model
+from vjm.records import Experiment, Progress
 from vjm.text import counted, number
 
-_Saved = Comparison | Diagnosis
-
+if TYPE_CHECKING:
+    _Saved = vjm.Comparison | vjm.Diagnosis
 
 _COMPUTING = 0.9  # share of the bar; drawing takes the rest
 
@@ -65,13 +54,18 @@ def _progress(arguments: argparse.Namespace) -> Iterator[Callable[[str, float], 
         yield show
 
 
-def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], _Saved]) -> _Saved:
-    check_result_folder(folder)
+def _saved(
+    arguments: argparse.Namespace, file: Path, folder: Path, compute: Callable[[Experiment, Progress], _Saved]
+) -> _Saved:
     with _progress(arguments) as show:
-        result = compute(lambda text, done, total: show(text, _COMPUTING * done / max(total, 1)))
+        experiment = vjm.load_experiment(file)
+        from vjm.report.output import check_result_folder
+
+        check_result_folder(folder)
+        result = compute(experiment, lambda text, done, total: show(text, _COMPUTING * done / max(total, 1)))
         drawing = 1 - _COMPUTING
         report = lambda text, done, total: show(text, _COMPUTING + drawing * done / max(total, 1))  # noqa: E731
-        save(result, folder, arguments.line, report)
+        vjm.save(result, folder, arguments.line, report)
     return result
 
 
@@ -93,7 +87,10 @@ def _print(text: str) -> None:
     sys.stdout.buffer.write(text.encode("utf-8", "backslashreplace"))
 
 
-def _show(arguments: argparse.Namespace, result: _Saved | Check, folder: Path | None = None) -> None:
+def _show(arguments: argparse.Namespace, result: _Saved | vjm.Check, folder: Path | None = None) -> None:
+    from vjm.report.output import REPORT, result_page
+    from vjm.report.result_json import result_object
+
     if arguments.json:
         _print(json_text(result_object(result)))
     elif not arguments.quiet:
@@ -107,44 +104,50 @@ def _show(arguments: argparse.Namespace, result: _Saved | Check, folder: Path | 
             print(printable(f"Report: {folder / REPORT}"))
 
 
-def _run(arguments: argparse.Namespace, compute: Callable[[Progress], _Saved]) -> None:
-    _show(arguments, _saved(arguments, arguments.out, compute), arguments.out)
+def _run(arguments: argparse.Namespace, compute: Callable[[Experiment, Progress], _Saved]) -> None:
+    _show(arguments, _saved(arguments, arguments.experiment, arguments.out, compute), arguments.out)
 
 
 def _identify(arguments: argparse.Namespace) -> None:
     chosen = arguments.method, arguments.virtual_joints, arguments.parameters
-    _run(arguments, lambda report: identify(load_experiment(arguments.experiment), *chosen, progress=report))
+    _run(arguments, lambda experiment, report: vjm.identify(experiment, *chosen, progress=report))
 
 
 def _diagnose(arguments: argparse.Namespace) -> None:
     chosen = arguments.effects, arguments.max_effects, arguments.jobs, arguments.seed, arguments.budget
-    _run(arguments, lambda report: diagnose(load_experiment(arguments.experiment), *chosen, progress=report))
+    _run(arguments, lambda experiment, report: vjm.diagnose(experiment, *chosen, progress=report))
 
 
 def _simulate(arguments: argparse.Namespace) -> None:
-    def compute(report: Progress) -> Comparison:
-        if _is_json(arguments.experiment) and not _is_json(arguments.model):
-            usage = f"vjm simulate {arguments.model} {arguments.experiment}"
-            raise ModelFileError(arguments.experiment, "a model stands where the experiment belongs", usage)
-        experiment = load_experiment(arguments.experiment)
-        return compare(experiment, *read_model(arguments.model, experiment), progress=report)
+    def compute(experiment: Experiment, report: Progress) -> vjm.Comparison:
+        from vjm.report.model_json import read_model
 
+        return vjm.compare(experiment, *read_model(arguments.model, experiment), progress=report)
+
+    if _is_json(arguments.experiment) and not _is_json(arguments.model):
+        usage = f"vjm simulate {arguments.model} {arguments.experiment}"
+        raise ModelFileError(arguments.experiment, "a model stands where the experiment belongs", usage)
     _run(arguments, compute)
 
 
 def _demo(arguments: argparse.Namespace) -> None:
+    from vjm.report.output import check_result_folder
+    from vjm.report.result_json import result_object
+
+    steps: dict[str, tuple[Path, Callable[[Experiment, Progress], _Saved]]] = {
+        "experiment.toml": (arguments.out, lambda experiment, report: vjm.identify(experiment, progress=report)),
+        "later.toml": (
+            arguments.out / "diagnosis",
+            lambda experiment, report: vjm.diagnose(experiment, progress=report),
+        ),
+    }
+    for folder, _ in steps.values():
+        if folder.parent.exists():
+            check_result_folder(folder)
+    results = []
     with resources.as_file(resources.files("vjm") / "demo") as data:
-        first, second = data / "experiment.toml", data / "later.toml"
-        steps: dict[Path, Callable[[Progress], _Saved]] = {
-            arguments.out: lambda report: identify(load_experiment(first), progress=report),
-            arguments.out / "diagnosis": lambda report: diagnose(load_experiment(second), progress=report),
-        }
-        for folder in steps:
-            if folder.parent.exists():
-                check_result_folder(folder)
-        results = []
-        for folder, compute in steps.items():
-            results.append(_saved(arguments, folder, compute))
+        for file, (folder, compute) in steps.items():
+            results.append(_saved(arguments, data / file, folder, compute))
             if not arguments.json:
                 _show(arguments, results[-1], folder)
     if arguments.json:
@@ -171,8 +174,12 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is not None:
         check_folder(arguments.out, _CHECKED)
     with _progress(arguments):
-        checked = check(load_experiment(arguments.experiment))
+        experiment = vjm.load_experiment(arguments.experiment)
+        checked = vjm.check(experiment)
     if arguments.out is not None:
+        from vjm.report.figures.check import check_picture
+        from vjm.report.result_json import result_object
+
         picture, result = _CHECKED
         files: dict[str, str | bytes] = {picture: check_picture(checked).png}  # shows what is refused as well
         if not checked.problem:
@@ -184,6 +191,8 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _urdf(arguments: argparse.Namespace) -> None:
+    from vjm.model.urdf import simulator_path
+
     file, simulator = arguments.out, arguments.simulator
     simulator_file = None if simulator is None else simulator_path(file, simulator)
     for written in (file, simulator_file):
@@ -197,6 +206,8 @@ def _urdf(arguments: argparse.Namespace) -> None:
         model.to_urdf(file)
     left_out = model.arm.not_in_simulators if simulator else ()
     if arguments.json:
+        from vjm.report.result_json import urdf_result
+
         files = [None if path is None else str(path) for path in (file, simulator_file)]
         _print(json_text(urdf_result(chain, text, files[0], files[1], left_out)))
     elif file is None:
@@ -210,16 +221,21 @@ def _urdf(arguments: argparse.Namespace) -> None:
 
 
 def _flexify(arguments: argparse.Namespace) -> None:
-    options = {key: value for key, value in vars(arguments).items() if key in inspect.signature(flexify).parameters}
+    from vjm.model.urdf_document import UrdfDocument, springs_of
+
+    parameters = inspect.signature(vjm.flexify).parameters
+    options = {key: value for key, value in vars(arguments).items() if key in parameters}
     file = arguments.out
     if file is not None:
         check_model_file(file, arguments.urdf)
-    text = flexify(**options)
+    text = vjm.flexify(**options)
     if file is not None:
         write_models({file: text})
     document = UrdfDocument.read(text)
     springs = springs_of(document)
     if arguments.json:
+        from vjm.report.result_json import flexify_result
+
         robot = document.robot.attributes.get("name", "")
         _print(json_text(flexify_result(robot, springs, text, None if file is None else str(file))))
     elif file is None:
@@ -228,15 +244,18 @@ def _flexify(arguments: argparse.Namespace) -> None:
         print(printable(f"{file}: {counted(len(springs), 'joint')} with a spring"))
 
 
-def _model(source: Path) -> Model:
+def _model(source: Path) -> vjm.Model:
     """Return the model of a model.json, or the nominal one of an experiment file; the content tells which."""
     if _is_json(source):
-        return load_model(source)
-    rig = load_experiment(source).rig
+        return vjm.load_model(source)
+    rig = vjm.load_experiment(source).rig
+    from vjm.chain.layout import nominal_chain, rig_layouts
+    from vjm.identification.training_data import JointChoice
+
     joints = [  # right for as many modes as there are markers to show them (eq. 1)
         JointChoice.of(link, max(len(link.markers), 1), link.virtual_joints).joints for link in rig.links
     ]
-    return replace(Model.nominal(rig), chain=nominal_chain(rig, rig_layouts(rig, joints)))
+    return replace(vjm.Model.nominal(rig), chain=nominal_chain(rig, rig_layouts(rig, joints)))
 
 
 def _is_json(source: Path) -> bool:
