@@ -207,6 +207,7 @@ def test_stiff_beam_swings_as_a_rigid_pendulum() -> None:
 # Resolution
 
 
+@pytest.mark.slow
 def test_hub_driven_motion_is_converged() -> None:
     time = np.arange(1501) / 500.0
     default = simulate(HUB, time, drive(time))

@@ -55,6 +55,7 @@ def test_twins_are_told_apart_by_nothing_on_the_menu() -> None:
     assert all(each.difference < 1 for each in propose_recordings(best, [other]))
 
 
+@pytest.mark.slow
 def test_the_nearest_of_several_counts() -> None:
     clamp = ClampCompliance(link=0, compliance=0.002)
     best, *others = fitted(drives(CUBIC, 7)[:1], CUBIC, DRIFT, clamp)

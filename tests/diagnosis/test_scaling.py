@@ -18,7 +18,7 @@ QUICK = ["tip_payload", "clamp_compliance"]
 def diagnosed(length: float, mass: float, time: float) -> tuple[vjm.Diagnosis, int]:
     """The diagnosis of the demo's later recordings in other units, and how often it reported progress."""
     experiment = vjm.load_experiment(Path(vjm.__file__).parent / "demo" / "later.toml")
-    kept = tuple(first_seconds(recording, 1.8) for recording in experiment.recordings if recording.file in FEW)
+    kept = tuple(first_seconds(recording, 1.2) for recording in experiment.recordings if recording.file in FEW)
     reports: list[str] = []
     found = vjm.diagnose(
         scaled(vjm.Experiment(experiment.rig, kept), length, mass, time),

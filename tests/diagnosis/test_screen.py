@@ -163,7 +163,7 @@ def noise_alone(correlation: float, assumed: float) -> list[float]:
     return [float(stats.kstest(column, stats.chi2(freedom).cdf).pvalue) for column, freedom in columns]
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
+@pytest.mark.parametrize("correlation", [pytest.param(0.0, marks=pytest.mark.slow), 0.8])
 def test_statistics_of_noise_alone_are_chi_square(correlation: float) -> None:
     assert min(noise_alone(correlation, correlation)) > 1e-3
 

@@ -145,6 +145,7 @@ def test_segments_that_do_not_follow_one_another_do_not_start_from_each_others_e
     assert earlier_runs([first, third], third.observed) == []
 
 
+@pytest.mark.slow
 def test_a_search_that_begins_with_some_segments_ends_with_whole_recordings() -> None:
     """Of six seconds, half of the segments show which effect is missing, and where the rest starts."""
     payload = TipPayload(mass=0.01)

@@ -23,11 +23,12 @@ HUB, CHAIN = Rig("hub", (LINK,)), chain_of(LINK)
 BEAM = Beam(LINK.length, LINK.mass, LINK.bending_stiffness, 5e-4, joint="revolute", hub_inertia=LINK.hub_inertia)
 BOTH_WAYS = [
     (ActuatorLag(time_constant=0.008), Physics(actuator_lag_time_constant=0.008), 3e-3),
-    (TorqueSaturation(limit=0.05), Physics(torque_saturation_limit=0.05), 1e-3),
-    (
+    pytest.param(TorqueSaturation(limit=0.05), Physics(torque_saturation_limit=0.05), 1e-3, marks=pytest.mark.slow),
+    pytest.param(
         Cogging(amplitude=0.006, count=40.0, phase=0.5),
         Physics(cogging_amplitude=0.006, cogging_count=40.0, cogging_phase=0.5),
         2e-3,
+        marks=pytest.mark.slow,
     ),
     pytest.param(
         Stribeck(torque=0.006, speed=0.12),

@@ -155,7 +155,7 @@ def shaken(direction: float, n: int) -> tuple[Array, Array]:
     return shown[1][0] - shown[0][0], shown[1][1] - shown[0][1]
 
 
-@pytest.mark.parametrize("direction", [0.0, 0.7, 1.9])
+@pytest.mark.parametrize("direction", [0.7, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.0, 1.9))])
 def test_it_shakes_a_chain_as_it_does_a_continuous_beam(direction: float) -> None:
     chain, beam = shaken(direction, 16)
     assert np.abs(beam).max() > 1e-4

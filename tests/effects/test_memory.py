@@ -47,7 +47,7 @@ def test_a_held_bend_relaxes() -> None:
     assert moment[seen] == pytest.approx(expected[seen], rel=1e-3)
 
 
-@pytest.mark.parametrize("pulsation", [0.5, 3.0, 40.0])
+@pytest.mark.parametrize("pulsation", [3.0, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.5, 40.0))])
 def test_a_standard_linear_solid_is_stiff_and_lossy_as_theory_says(pulsation: float) -> None:
     effect = ViscoelasticCreep(ratio=0.2, time_constant=0.3)
     time = np.linspace(0, 3 + 20 / pulsation, 10001)

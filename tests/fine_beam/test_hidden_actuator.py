@@ -55,6 +55,7 @@ def test_dry_friction_is_not_what_an_actuator_clips_or_delays() -> None:
         assert np.abs(alone(RIGID, stuck, Run(np.full(501, 0.015))).theta).max() < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("physics", "error"),
     [

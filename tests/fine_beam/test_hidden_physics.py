@@ -290,18 +290,17 @@ def test_energy_falls_by_what_dampers_of_joints_take(physics: Physics, twist: li
     assert taken[-1] > 0.02 * stored[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("physics", "error"),
     [
-        pytest.param(Physics(coulomb_friction_torque=0.008), 3e-6, marks=pytest.mark.slow),
+        (Physics(coulomb_friction_torque=0.008), 3e-6),
         (Physics(backlash_gap=0.004), 3e-6),
         (Physics(gear_elasticity_stiffness=60.0, external_tone_amplitude=0.05, external_tone_frequency=7.0), 1e-7),
         (Physics(hysteresis_ratio=0.1, viscoelastic_creep_ratio=0.05, cubic_stiffness_coefficient=-0.1), 1e-7),
         (Physics(stiffness_asymmetry_ratio=0.1, taper_taper=0.2), 1e-7),
         (table(stiffness=500.0, mass=2.0, direction=0.9), 1e-7),
-        pytest.param(
-            Physics(gear_elasticity_stiffness=60.0, gear_elasticity_damping=0.5), 1e-7, marks=pytest.mark.slow
-        ),
+        (Physics(gear_elasticity_stiffness=60.0, gear_elasticity_damping=0.5), 1e-7),
         (Physics(quadratic_drag_coefficient=0.1, clamp_compliance_compliance=5e-3, stiffness_drift_rate=0.01), 1e-7),
     ],
     ids=["coulomb", "backlash", "gear", "hysteresis", "asymmetry", "table", "damped gear", "drag"],

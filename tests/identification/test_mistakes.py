@@ -264,7 +264,7 @@ def test_numbers_that_are_far_off_are_doubted(rig: Callable[[], Experiment], mis
 
 
 @pytest.mark.parametrize("rig", BOTH)
-@pytest.mark.parametrize("seen", ["as it is", "by other conventions"])
+@pytest.mark.parametrize("seen", [pytest.param("as it is", marks=pytest.mark.slow), "by other conventions"])
 def test_nothing_is_wrong_with_what_is_right(rig: Callable[[], Experiment], seen: str) -> None:
     experiment = rig()
     if seen != "as it is":

@@ -75,7 +75,7 @@ def identified(
 
 @pytest.mark.parametrize(
     ("rate", "noise", "seed"),
-    [(250.0, 3e-4, 1), (250.0, 5e-4, 2), pytest.param(500.0, 1e-4, 3, marks=pytest.mark.slow)],
+    [(250.0, 3e-4, 1), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((250.0, 5e-4, 2), (500.0, 1e-4, 3)))],
 )
 def test_bending_torsion_and_damping_of_a_finer_tube_are_found(rate: float, noise: float, seed: int) -> None:
     """Four virtual joints against MuJoCo's twelve: within 2 %."""
