@@ -20,7 +20,7 @@ from vjm.cli import main
 BEAM = Beam(length=0.6, mass=0.21, bending_stiffness=1.1, kelvin_voigt_time=6e-4, joint="revolute", hub_inertia=0.006)
 HIDDEN = 0.009  # kg on the tip
 MARKERS = [0.15, 0.3, 0.45, 0.6]
-CAMERA_RATE, DRIVE_RATE, DURATION = 50, 200, 1.6  # Hz, Hz, s
+CAMERA_RATE, DRIVE_RATE, DURATION = 50, 200, 1.2  # Hz, Hz, s
 TORQUES = {  # N m, Hz
     "run_1": ((0.06, 0.8), (0.02, 5.5)),
     "run_2": ((0.05, 1.4), (0.03, 3.7)),

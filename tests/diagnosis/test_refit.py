@@ -247,6 +247,7 @@ def test_states_are_not_refined_where_all_of_them_fall_short() -> None:
         assert run.state == pytest.approx(off)
 
 
+@pytest.mark.slow
 def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     def diverge(*anything: object) -> list[Run]:
         raise SimulationDivergedError(0.1, 1e-3, "")
@@ -338,6 +339,7 @@ def test_a_wrong_model_beside_sticking_ends_once_only_initial_states_are_left(
     assert search.stopping_rule() == ("converged" if ended else "running")
 
 
+@pytest.mark.slow
 def test_no_multistart_is_repeated_where_the_steps_since_have_hardly_gained(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside friction of a wrong model: a payload is missing."""
     friction, payload = CoulombFriction(link=0, torque=0.008), TipPayload(mass=0.02)
@@ -383,12 +385,13 @@ def test_a_small_effect_beside_the_discretization_error_is_that_of_a_beam(seed: 
     assert abs(fit.estimate[-1]) < 3 * np.sqrt(information_of(fit).covariance[-1, -1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "in_segments"),
     [
         (0.00125, False),
-        pytest.param(0.0, False, marks=pytest.mark.slow),
-        pytest.param(0.5, True, marks=pytest.mark.slow),
+        (0.0, False),
+        (0.5, True),
     ],
 )
 def test_what_is_small_is_looked_for_in_whole_recordings_at_once(size: float, in_segments: bool) -> None:
@@ -678,9 +681,8 @@ def test_a_further_parameter_must_bring_its_share() -> None:
     assert strict.criterion(held) == pytest.approx(strict.criterion(one), rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("seed", "off"), [(1, 1.1), *(pytest.param(*rest, marks=pytest.mark.slow) for rest in ((2, -0.9), (3, 0.9)))]
-)  # rad
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "off"), [(1, 1.1), (2, -0.9), (3, 0.9)])  # rad
 def test_a_table_that_slides_across_its_start_is_found(seed: int, off: float) -> None:
     """In coordinates about its start its direction ends 45 degrees away."""
     truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
