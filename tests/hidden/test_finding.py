@@ -11,7 +11,7 @@ import pytest
 import vjm
 from tests.diagnosis.rigs import first_seconds
 from tests.hidden.conftest import Plant
-from tests.hidden.rigs import Conditions, Truth, write_hidden
+from tests.hidden.rigs import PLAIN, Conditions, Truth, write_hidden
 from tests.hidden.severities import draw
 from vjm.effects import BUILTIN
 
@@ -262,3 +262,12 @@ def test_what_no_digit_of_the_residual_shows_is_no_cause() -> None:
     assert (diagnosis.verdict, diagnosis.causes) == ("none", ())
     assert diagnosis.model is diagnosis.reference
     assert any(warning.startswith("Taper: certain, but too small to matter") for warning in diagnosis.warnings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [11133, 1, 2])
+def test_a_table_is_found_whatever_its_frequency(seed: int, tmp_path: Path) -> None:
+    """The screen tries three; between them it promises a small part of what a fit gains, and less than others do."""
+    truth = write_hidden(tmp_path, "arm", [draw("base_compliance", seed, "arm")], seed, PLAIN)
+    effects = [*SOME, "in_plane_gravity", "clamp_compliance", "base_compliance"]
+    assert_found(diagnosed(tmp_path / "experiment.toml", effects), truth)

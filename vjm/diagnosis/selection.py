@@ -383,15 +383,15 @@ class Search:
         trial: TrajectoryFit | None = None
 
         def largest_gain(k: int) -> float:
-            # No fit of a smooth effect has gained more than twice its score statistic.
+            # No fit of a smooth effect without a joint of its own has gained more than twice its score statistic.
             return float(screened.statistics[k]) * (1.0 if screened.effects[k].nonsmooth else 2.0)
 
         def promises(k: int) -> bool:
             gained = 0.0 if trial is None else best.chi2 - trial.chi2
             effect = screened.effects[k]
-            compliant = effect.adds_joint(best.point.chain) and not (effect.nonsmooth or effect.proportional)
-            # Compliant joints are always fitted in the first segments only: longer ones have better linear predictions
-            # and slower fits.
+            compliant = effect.adds_joint(best.point.chain) and not effect.nonsmooth
+            # Compliant joints, which may vibrate at frequencies between those of the screen, are always fitted, in the
+            # first segments only: longer ones have better linear predictions and slower fits.
             return not followed or (compliant and base is not None) or 2 * screened.statistics[k] > gained
 
         for batch in _batches(sorted(needed, key=largest_gain, reverse=True), self.workers.count):

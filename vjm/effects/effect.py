@@ -178,8 +178,6 @@ class Effect:
     # It makes the motion nonsmooth, as sticking or rattling does: searches for it hold simulated joints near their
     # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
-    # It is a joint of its own, and yet the motion is about linear in its sizes: its slopes promise what a fit gains.
-    proportional: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         if "id" not in vars(cls):

@@ -292,7 +292,6 @@ class BaseCompliance(Effect):
     distinguishing_experiment = "a fiducial on the base in the camera's view, or an accelerometer on the table"
     abscissa = "frequency"
     in_urdf = True
-    proportional = True
 
     @property
     def coordinates(self) -> Array:
