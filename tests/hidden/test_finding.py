@@ -269,5 +269,5 @@ def test_what_no_digit_of_the_residual_shows_is_no_cause() -> None:
 def test_a_table_is_found_whatever_its_frequency(seed: int, tmp_path: Path) -> None:
     """The screen tries three; between them it promises a small part of what a fit gains, and less than others do."""
     truth = write_hidden(tmp_path, "arm", [draw("base_compliance", seed, "arm")], seed, PLAIN)
-    effects = [*SOME, "in_plane_gravity", "clamp_compliance", "base_compliance"]
-    assert_found(diagnosed(tmp_path / "experiment.toml", effects), truth)
+    others = ["in_plane_gravity", "cogging", "joint_spring", "torque_gain", "external_tone", "clamp_compliance"]
+    assert_found(diagnosed(tmp_path / "experiment.toml", [*others, "base_compliance"]), truth)
