@@ -265,9 +265,10 @@ def test_what_no_digit_of_the_residual_shows_is_no_cause() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [11133, 1, 2])
+@pytest.mark.parametrize("seed", [11133, 1])
 def test_a_table_is_found_whatever_its_frequency(seed: int, tmp_path: Path) -> None:
     """The screen tries three; between them it promises a small part of what a fit gains, and less than others do."""
-    truth = write_hidden(tmp_path, "arm", [draw("base_compliance", seed, "arm")], seed, PLAIN)
+    factor = float(0.3 * 10.0 ** np.random.default_rng([seed, 7]).uniform())  # of the size, as in the benchmark's arms
+    truth = write_hidden(tmp_path, "arm", [draw("base_compliance", seed, "arm", factor)], seed, PLAIN)
     others = ["in_plane_gravity", "cogging", "joint_spring", "torque_gain", "external_tone", "clamp_compliance"]
     assert_found(diagnosed(tmp_path / "experiment.toml", [*others, "base_compliance"]), truth)
