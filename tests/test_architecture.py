@@ -17,7 +17,7 @@ from vjm.effects import BUILTIN
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "vjm"
-FRONT = PACKAGE / "__init__.py"  # the public names, imported when first used; leads to all of the report and before
+FRONT = PACKAGE / "__init__.py"  # the public names of all stages up to the report, imported when first used
 
 # The way data flows. A stage may import stages of earlier lines and itself; never one of its own line or a later one.
 ORDER = (
@@ -141,7 +141,7 @@ def turning_back(path: Path, package: Path = PACKAGE) -> list[str]:
         parts = each.name.split(".")
         if parts[1:2] == ["report"] and (here, each.method_of) in PRESENTED:
             continue
-        stage = parts[1] if parts[1:] else "report"  # as far as the front leads
+        stage = parts[1] if parts[1:] else "report"  # the last one whose names the front has
         if parts[0] == "vjm" and parts[1:2] != [here] and LEVEL[stage] >= LEVEL[here]:
             found.append(f"{path.relative_to(package)}:{each.line} imports {each.name}")
     return found

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +46,17 @@ def test_help_and_version_import_nothing_heavy() -> None:
         command = [sys.executable, "-c", code.format(option)]
         result = subprocess.run(command, capture_output=True, text=True, check=True)
         assert result.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("command", ["check", "identify", "flexify"])
+def test_a_fault_in_a_file_is_told_before_anything_heavy_is_imported(command: str, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("x = 1")
+    code = "import sys; from vjm.cli import main; status = main(sys.argv[1:])\n"
+    code += "print(status, *sorted({'matplotlib', 'scipy.stats', 'vjm.diagnosis'} & set(sys.modules)))"
+    arguments = [command, str(wrong), *(["--link", "arm"] if command == "flexify" else [])]
+    result = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == ["2"], result.stderr
 
 
 def test_help_is_quick() -> None:
