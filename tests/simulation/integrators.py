@@ -54,7 +54,7 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     if system.has_dry_friction:
         raise ValueError("the reference has no dry friction: give it a gradual one")
     step, count = drive.step, len(drive.start)
-    time, half, accelerations = step * np.arange(count + 1.0), step / 2, system.accelerations()
+    time, half, accelerations = step * np.arange(count + 1.0), step / 2, system.accelerations
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
     active = np.stack([drive.start, drive.middle, drive.end])
     torques = np.zeros((*active.shape[:2], *q.shape))

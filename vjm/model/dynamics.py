@@ -96,9 +96,12 @@ class RigidBodies:
             matrix[:, :, column] = self.inverse_dynamics(angles, zero, acceleration) - gravity_torque
         return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
-    def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
-        """Return accelerations (T, nv) [rad/s^2] of a batch (ABA), from q (T, nq), v and torque (T, nv)."""
-        acceleration = np.empty(v.shape)
+    def forward_dynamics(self, q: Array, v: Array, torque: Array, out: Array | None = None) -> Array:
+        """Return accelerations (T, nv) [rad/s^2] of a batch (ABA), from q (T, nq), v and torque (T, nv).
+
+        They are in `out` if it is given.
+        """
+        acceleration = np.empty(v.shape) if out is None else out
         if self.base_weight:
             torque = torque - self.base_weight * (np.arange(v.shape[1]) == 0)
         pin.abaInParallel(1, self._pool, q.T, v.T, torque.T, acceleration.T)

@@ -192,66 +192,69 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     path = Trajectory(step * np.arange(count + 1.0), *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
     # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
     missing = drive.ends[:-1] - drive.start
-    has_further_forces = system.has_further_forces
-    start, middle, end = (_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end))
-    accelerations, internal = system.accelerations(), z.size > 0
+    start = _of_all_joints(system, np.concatenate([drive.start, drive.ends[-1:]]))
+    middle, end = (_of_all_joints(system, active) for active in (drive.middle, drive.end))
+    has_further_forces, internal = system.has_further_forces, z.size > 0
     # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
     active, friction = system.active, _StickSlip(system, step, count) if system.has_dry_friction else None
 
-    def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
-        path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
+    # The next stage's torques, the state at the step's start and the accelerations of the stages so far: of these, the
+    # next stage is one product. For few copies most of the time is Python's and NumPy's, so that arrays are made once.
+    y = np.concatenate([start[0], q, v, np.empty((len(q), 5 * n))], axis=1)
+    applied, x, a = y[:, :n], y[:, n : 3 * n], [y[:, k * n : (k + 1) * n] for k in range(3, 8)]
+    known = [y[:, : k * n] for k in range(3, 9)]
+    stage = _multiply(known[0], propagator.at(x).first)
+    at_stage, q, v, torque = stage[:, : 2 * n], stage[:, :n], stage[:, n : 2 * n], stage[:, 2 * n :]
+
+    def accelerate_at(number: int, k: float, z: Array) -> Array:
+        """Note the accelerations of a stage, k steps from the start, and return rates of internal states."""
+        rates = z
+        if has_further_forces:
+            force, rates = system.further_forces(elapsed + k * step, q, v, z)
+            np.add(torque, force, out=torque)
+        system.accelerations(q, v, torque, a[number - 1])
+        return rates
+
+    def advance(number: int, weights: _Weights, torque: Array) -> None:
+        """Advance to a stage under a torque, from those before."""
+        applied[:] = torque
+        _multiply(known[number - 1], weights[number - 1], stage)
+
+    def record(k: int, a: Array, z: Array) -> None:
+        path.q[k], path.v[k], path.a[k] = q, v, a
+        if internal:
+            path.z[k] = z
         if k % unchecked == 0 or k == count:
             _require_finite(path.q, range(max(k - unchecked, 0), k + 1), drive)
 
-    def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
-        q, v = x[:, :n], x[:, n:]
-        if not has_further_forces:
-            return accelerations(q, v, springs + torque), z
-        force, rates = system.further_forces(elapsed + k * step, q, v, z)
-        return accelerations(q, v, springs + torque + force), rates
-
-    # States, and beside them the remainders of the stages: each next stage is one product with those before it.
-    y = np.concatenate([q, v, np.empty((len(q), 5 * n))], axis=1)
-    x, remainders = y[:, : 2 * n], [y[:, k * n : (k + 1) * n] for k in range(2, 7)]
-    known = [y[:, : k * n] for k in range(3, 7)]
-
-    def stage(number: int, k: float, z: Array, torque: Array, weights: _Weights) -> Array:
-        x = _multiply(known[number - 2], weights[number - 2])
-        p = _multiply(x, weights.rate)
-        a, rates = accelerate(k, x, z, p[:, :n], torque)
-        np.subtract(a, p[:, n:], out=remainders[number - 1])
-        return rates
-
     for k in range(count):
         weights = propagator.at(x)
-        p = _multiply(x, weights.rate)
+        z1 = accelerate_at(1, k, z)
         at_once = missing[k]
         if friction is not None:
             acting = friction.torque
-            start[k][:, active] += acting
-        a, z1 = accelerate(k, x, z, p[:, :n], start[k])
-        if friction is not None:
-            first, line = friction.over_step(x[:, n:], a, weights.response)
-            a = a + _multiply(line[0] - acting, weights.response)
+            first, line = friction.over_step(v, a[0], weights.response)
+            a[0] += _multiply(line[0] - acting, weights.response)
             at_once = at_once + first - line[0]
             middle[k][:, active] += line[1]
             end[k][:, active] += line[2]
-        record(k, x[:, :n], x[:, n:], a + _multiply(at_once, weights.response), z)
-        np.subtract(a, p[:, n:], out=remainders[0])
-        z2 = stage(2, k + 0.5, z + step / 2 * z1 if internal else z, middle[k], weights)
-        z3 = stage(3, k + 0.5, z + step / 2 * z2 if internal else z, middle[k], weights)
-        z4 = stage(4, k + 1, z + step / 2 * (z2 + z3) if internal else z, end[k], weights)
+            start[k + 1][:, active] += friction.torque
+        record(k, a[0] + _multiply(at_once, weights.response), z)
+        advance(2, weights, middle[k])
+        z2 = accelerate_at(2, k + 0.5, z + step / 2 * z1 if internal else z)
+        advance(3, weights, middle[k])
+        z3 = accelerate_at(3, k + 0.5, z + step / 2 * z2 if internal else z)
+        advance(4, weights, end[k])
+        z4 = accelerate_at(4, k + 1, z + step / 2 * (z2 + z3) if internal else z)
+        advance(5, weights, middle[k])
         z5 = z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z
-        z5 = stage(5, k + 0.5, z5, middle[k], weights)
-        x[:] = _multiply(y, weights.end)
+        z5 = accelerate_at(5, k + 0.5, z5)
+        advance(6, weights, start[k + 1])  # the first stage of the next step
+        x[:] = at_stage
         z = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
-    springs = _multiply(x, propagator.at(x).rate)[:, :n]
-    torque = _of_all_joints(system, drive.ends[-1:])[0]
-    if friction is not None:
-        torque[:, active] += friction.torque
-    a, _ = accelerate(count, x, z, springs, torque)
-    record(count, x[:, :n], x[:, n:], a, z)
+    accelerate_at(1, count, z)
+    record(count, a[0], z)
     return path if friction is None else replace(path, friction=friction.history)
 
 
@@ -272,28 +275,30 @@ def _of_all_joints(system: System, active: Array) -> Array:
     return torques
 
 
-def _multiply(states: Array, matrices: Array) -> Array:
-    """Return states (C, m) times the transposed matrix of each copy, or that all copies share."""
-    # For few copies most of the time is NumPy's overhead, of which `dot` has least.
-    result: Array = np.matmul(states[:, None, :], matrices)[:, 0] if len(matrices) > 1 else states.dot(matrices[0])
+def _multiply(states: Array, matrices: Array, out: Array | None = None) -> Array:
+    """Return states (C, m) times the transposed matrix of each copy, or that all copies share, in `out` if given."""
+    if len(matrices) == 1:
+        product: Array = states.dot(matrices[0], out)  # has less overhead than `np.dot` and `np.matmul`
+        return product
+    result: Array = np.matmul(states[:, None, :], matrices, out=None if out is None else out[:, None, :])[:, 0]
     return result
 
 
 class _Weights(NamedTuple):
     """Matrices of the steps (C, ...), transposed.
 
-    `second` to `fifth` take a state with the remainders of the stages before, side by side, to the state at a stage,
-    and `end` to that at the end of the step. Remainders enter the rates only. `rate` takes a state to the torques of
-    springs and dampers and to the linear accelerations, `response` active torques (n_a,) to accelerations (nv,). One
-    copy stands for all where they are equal.
+    `first` to `fifth` take the torques at a stage, the state at the step's start and the accelerations of the stages so
+    far, side by side, to the state at the stage and these torques with those of springs and dampers; `end` does so for
+    the end of the step. `response` takes active torques (n_a,) to accelerations (nv,). One copy stands for all where
+    they are equal.
     """
 
+    first: Array
     second: Array
     third: Array
     fourth: Array
     fifth: Array
     end: Array
-    rate: Array
     response: Array
 
 
@@ -429,20 +434,41 @@ class _LinearPropagator:
         (half1, half2, half3), (phi1, phi2, phi3) = ([step * phi[:, :, n:] for phi in phis] for phis in (half, full))
         late = half2 / 2 - phi3 + phi2 / 4 - half3 / 2
         last = half2 / 4 - late
-        return _Weights(
-            second=_transposed(half_flow, half1 / 2),
-            third=_transposed(half_flow, half1 / 2 - half2, half2),
-            fourth=_transposed(flow, phi1 - 2 * phi2, phi2, phi2),
-            fifth=_transposed(half_flow, half1 / 2 - 2 * late - last, late, late, last),
-            end=_transposed(flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3),
-            rate=_transposed(np.concatenate([springs, rate], axis=1)),
-            response=_transposed(inverse[:, :, self.system.active]),
+        stages = _by_accelerations(
+            rate,
+            (half_flow, half1 / 2),
+            (half_flow, half1 / 2 - half2, half2),
+            (flow, phi1 - 2 * phi2, phi2, phi2),
+            (half_flow, half1 / 2 - 2 * late - last, late, late, last),
+            (flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3),
         )
+        itself = np.zeros((len(copies), 3 * n, n))  # of a torque
+        itself[:, 2 * n :] = np.eye(n)
+        with_torques = (np.concatenate([stage, springs @ stage], axis=1) for stage in stages)
+        weights = (_transposed(np.concatenate([itself, stage], axis=2)) for stage in with_torques)
+        return _Weights._make([*weights, _transposed(inverse[:, :, self.system.active])])
 
 
-def _transposed(*matrices: Array) -> Array:
-    """Return matrices (C, r, ...) side by side, and transposed."""
-    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=2), 1, 2))
+def _by_accelerations(rate: Array, *stages: tuple[Array, ...]) -> list[Array]:
+    """Return matrices (C, 2 n, 2 n + s n) of stages 1, 2, ... for accelerations of the s stages before.
+
+    Args:
+        rate: (C, n, 2 n) from states to linear accelerations.
+        stages: of the second and later ones, matrices for the state at the step's start, and for the remainders of the
+            stages before: the accelerations without the linear ones.
+    """
+    size = rate.shape[2]
+    found: list[Array] = [np.broadcast_to(np.eye(size), (len(rate), size, size))]
+    for flow, *weights in stages:
+        stage = np.concatenate([flow, *weights], axis=2)
+        for weight, earlier in zip(weights, found, strict=True):
+            stage[:, :, : earlier.shape[2]] -= weight @ rate @ earlier
+        found.append(stage)
+    return found
+
+
+def _transposed(matrices: Array) -> Array:
+    return np.ascontiguousarray(np.swapaxes(matrices, 1, 2))
 
 
 def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -200,18 +200,14 @@ class System:
             torques[copies] = arm.friction_torques(v[copies])
         return torques
 
-    def accelerations(self) -> Callable[[Array, Array, Array], Array]:
-        """Return the function of q, v (C, nv) and all joints' torques (C, nv), springs included, that gives (C, nv)."""
+    def accelerations(self, q: Array, v: Array, torque: Array, out: Array | None = None) -> Array:
+        """Return accelerations (C, nv) under torques of all joints (C, nv), springs included; in `out` if given."""
         if len(self.mechanisms) == 1:
-            return self.mechanisms[0][1].forward_dynamics
-
-        def of_each(q: Array, v: Array, torque: Array) -> Array:
-            result = np.empty(torque.shape)
-            for copies, mechanism in self.mechanisms:
-                result[copies] = mechanism.forward_dynamics(q[copies], v[copies], torque[copies])
-            return result
-
-        return of_each
+            return self.mechanisms[0][1].forward_dynamics(q, v, torque, out)
+        result = np.empty(torque.shape) if out is None else out
+        for copies, mechanism in self.mechanisms:
+            result[copies] = mechanism.forward_dynamics(q[copies], v[copies], torque[copies])
+        return result
 
 
 def _mechanisms(
