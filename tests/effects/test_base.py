@@ -65,7 +65,8 @@ def test_kinetic_energy_is_that_of_the_bodies(arm: Chain, direction: float, seed
         ahead, behind = (places(q[0, 1:] + sign * STEP * v[0, 1:], distances) for sign in (1, -1))
         return (ahead - behind) / (2 * STEP) + v[0, 0] * np.array([np.cos(direction), np.sin(direction)])
 
-    turning = Rods(arm).motion(q[0, 1:], v[0, 1:])[1]
+    rods = Rods(arm)
+    turning, _ = rods.motion(rods.directions(q[0, 1:]), v[0, 1:])
     energy = 0.5 * TABLE.mass * v[0, 0] ** 2
     masses, inertias = (np.concatenate([getattr(link, name) for link in arm.links]) for name in ("masses", "inertias"))
     energy += 0.5 * (masses @ (rates(centers) ** 2).sum(axis=1) + inertias @ turning**2)
@@ -84,9 +85,10 @@ def test_forces_on_rods_move_the_table_as_virtual_work_says(arm: Chain, directio
     chain = moving(arm, direction)
     q, v, _ = random_motion(chain, 1, seed)
     rods, plain = Rods(chain), Rods(arm)
-    turned, _, normal = rods.motion(q[0], v[0])
+    turned = rods.directions(q[0])
+    _, normal = rods.motion(turned, v[0])
     slide = np.cos(direction - np.angle(turned * 1j))  # of each normal
-    assert normal == pytest.approx(plain.motion(q[0, 1:], v[0, 1:])[2] + v[0, 0] * slide)
+    assert normal == pytest.approx(plain.motion(turned, v[0, 1:])[1] + v[0, 0] * slide)
     force = np.random.default_rng(seed).normal(size=turned.size)
     found = rods.torques(turned, force, 0 * force)
     assert found[0] == pytest.approx(force @ slide)

@@ -399,13 +399,13 @@ class Backlash(JointEffect):
         """Return the torque that cancels the root joint's spring and damper inside the gap."""
         link, root = self.link_of(chain), self.virtual_joints(chain).start - 1
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping
-        sides = np.array([1.0, -1.0])
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            depth, share = self._contact(sides * q[..., root, None] - self.gap / 2)
-            push = np.maximum(stiffness * depth + damping * share * sides * v[..., root, None], 0.0)
-            torque: Array = stiffness * q[..., root] + damping * v[..., root] - push @ sides
-            return torque
+            twist, rate = q[..., root], v[..., root]
+            side = np.sign(twist)
+            depth, share = self._contact(np.abs(twist) - self.gap / 2)
+            push = np.maximum(stiffness * depth + damping * share * side * rate, 0.0)
+            return np.asarray(stiffness * twist + damping * rate - push * side)
 
         return self.force_on(root, force)
 

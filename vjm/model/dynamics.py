@@ -82,19 +82,15 @@ class RigidBodies:
         model, data = self.model, self._data
         for k, state in enumerate(zip(q, v, a, strict=True)):
             by_angle[k], by_rate[k], inertia[k] = pin.computeRNEADerivatives(model, data, *state)
-        upper = np.triu(inertia)  # all that Pinocchio fills
-        return by_angle, by_rate, upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+        return by_angle, by_rate, _symmetric(inertia)
 
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return M(q), (T, nv, nv) [kg m^2], at q (T, nq), by one batched RNEA a column."""
+        """Return M(q), (T, nv, nv) [kg m^2], at q (T, nq) (CRBA)."""
         angles = self._batch("q", q, self.model.nq)
-        zero = np.zeros((len(angles), self.model.nv))
-        gravity_torque = self.inverse_dynamics(angles, zero, zero)
-        matrix = np.empty((*zero.shape, self.model.nv))
-        for column, unit in enumerate(np.eye(self.model.nv)):
-            acceleration = np.broadcast_to(unit, zero.shape)
-            matrix[:, :, column] = self.inverse_dynamics(angles, zero, acceleration) - gravity_torque
-        return (matrix + np.swapaxes(matrix, 1, 2)) / 2
+        matrix = np.empty((len(angles), self.model.nv, self.model.nv))
+        for k, state in enumerate(angles):
+            matrix[k] = pin.crba(self.model, self._data, state)
+        return _symmetric(matrix)
 
     def forward_dynamics(self, q: Array, v: Array, torque: Array, out: Array | None = None) -> Array:
         """Return accelerations (T, nv) [rad/s^2] of a batch (ABA), from q (T, nq), v and torque (T, nv).
@@ -112,6 +108,12 @@ class RigidBodies:
         angles, zero = np.asarray(q, dtype=float), np.zeros(self.model.nv)
         pin.computeRNEADerivatives(self.model, self._data, angles, zero, zero)
         return np.array(self._data.dtau_dq)
+
+
+def _symmetric(matrices: Array) -> Array:
+    """Return the symmetric matrices (T, n, n) of their upper triangles, which are all that Pinocchio fills."""
+    upper = np.triu(matrices)
+    return upper + np.swapaxes(np.triu(upper, 1), 1, 2)
 
 
 class Mechanism(RigidBodies):

@@ -98,6 +98,8 @@ class Arm:
 
     def state_rates(self, time: Array, q: Array, v: Array, z: Array) -> Array:
         """Return rates of change of all internal states (..., nz) in a motion, whose time is since the start."""
+        if len(self.effects) == 1 and self.has_state_rates:  # without an array for all effects'
+            return self._state_rates[0][0](time, q, v, z)
         rates = np.zeros(z.shape)
         for function, part in self._state_rates:
             rates[..., part] = function(time, q, v, z[..., part])
@@ -131,13 +133,11 @@ class Arm:
         share = (np.arange(interval.size) - (ends - counts)[interval]) / counts[interval]
         share_after, duration = share + 1 / counts[interval], (durations.T / counts).T[interval]
         before, after = ([_between(values, interval, at) for values in (time, q, v)] for at in (share, share_after))
-        # A single effect's rates without the array for all effects': there are many short steps.
-        rates = self._state_rates[0][0] if len(self.effects) == 1 else self.state_rates
         followed = [start]
         for k, step in enumerate(duration):
-            slope = rates(before[0][k], before[1][k], before[2][k] + missing[interval[k]], followed[-1])
+            slope = self.state_rates(before[0][k], before[1][k], before[2][k] + missing[interval[k]], followed[-1])
             guess = followed[-1] + step * slope
-            end_slope = rates(after[0][k], after[1][k], after[2][k] + missing[interval[k]], guess)
+            end_slope = self.state_rates(after[0][k], after[1][k], after[2][k] + missing[interval[k]], guess)
             followed.append(followed[-1] + step / 2 * (slope + end_slope))
         return np.stack([np.broadcast_to(followed[at], states.shape[1:]) for at in (0, *ends)])
 

@@ -217,7 +217,6 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         return rates
 
     def advance(number: int, weights: _Weights, torque: Array) -> None:
-        """Advance to a stage under a torque, from those before."""
         applied[:] = torque
         _multiply(known[number - 1], weights[number - 1], stage)
 
@@ -248,8 +247,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         advance(4, weights, end[k])
         z4 = accelerate_at(4, k + 1, z + step / 2 * (z2 + z3) if internal else z)
         advance(5, weights, middle[k])
-        z5 = z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z
-        z5 = accelerate_at(5, k + 0.5, z5)
+        z5 = accelerate_at(5, k + 0.5, z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z)
         advance(6, weights, start[k + 1])  # the first stage of the next step
         x[:] = at_stage
         z = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z

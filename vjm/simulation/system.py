@@ -160,6 +160,10 @@ class System:
         )
 
     @property
+    def _all_copies(self) -> slice:
+        return slice(0, len(self.arms))
+
+    @property
     def has_further_forces(self) -> bool:
         """True if anything acts beyond springs, dampers and torques."""
         return bool(self.acting)
@@ -169,6 +173,10 @@ class System:
 
         Times are since each copy's recording began.
         """
+        if len(self.acting) == 1 and self.acting[0].copies == self._all_copies:
+            ((_, arm, exerted),) = self.acting
+            force = np.zeros(q.shape) if exerted is None else exerted(time, q, v, z)
+            return force, arm.state_rates(time, q, v, z) if arm.has_state_rates else np.zeros(z.shape)
         force, rates = np.zeros(q.shape), np.zeros(z.shape)
         for copies, arm, exerted in self.acting:
             motion = q[copies], v[copies], z[copies]
@@ -193,7 +201,7 @@ class System:
 
     def friction_torques(self, v: Array) -> Array:
         """Return the dry friction (C, nv) [N m] of the joints at rates (C, nv) [rad/s]."""
-        if len(self._braked) == 1 and self._braked[0][0] == slice(0, len(self.arms)):
+        if len(self._braked) == 1 and self._braked[0][0] == self._all_copies:
             return self._braked[0][1].friction_torques(v)
         torques = np.zeros(v.shape)
         for copies, arm in self._braked:
