@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
+from tests.model.chains import extended_chain
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -26,6 +27,7 @@ from vjm.effects import (
 )
 from vjm.errors import ShapeError
 from vjm.records import Array, Rig
+from vjm.simulation.arm import Arm
 
 TIME = np.array([0.0, 0.1, 0.5])
 RNG = np.random.default_rng(3)
@@ -125,6 +127,20 @@ def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
         assert not np.delete(displaced, own, axis=1).any()
         expected = (2 - 1j) * 0.005 * RIG.links[each.link].length * np.exp(1j * HEADINGS[:, own])
         assert displaced[:, own] @ [1, 1j] == pytest.approx(expected)
+
+
+@given(st.permutations(range(6)))
+def test_what_a_camera_sees_does_not_depend_on_the_order_of_causes(order: list[int]) -> None:
+    """An offset marker is turned with the rest of the picture, which is shifted last."""
+    offset = MarkerOffset(link=1, marker=2, first=1, along=0.3, across=-0.1)
+    scale, turn, shift = CameraScale(scale=1.2), CameraRotation(angle=0.4), CameraTranslation(dx=0.2, dy=-0.5)
+    shake, lens = CameraVibration(amplitude=0.1, frequency=1.3, direction=0.5), LensDistortion(k1=0.05)
+    effects = (shift, turn, shake, lens, offset, scale)
+    arm = Arm.of(extended_chain(), [effects[k] for k in order])
+    moved = (offset.marker_positions(POSITIONS, HEADINGS, TIME)) @ [1, 1j]
+    expected = 1.2 * np.exp(0.4j) * moved * (1 + 0.05 * np.abs(moved) ** 2) + 0.2 - 0.5j
+    expected += 0.1 * (np.sin(2.6 * np.pi * TIME) * np.exp(0.5j))[:, None]
+    assert arm.marker_positions(POSITIONS, HEADINGS, TIME) @ [1, 1j] == pytest.approx(expected)
 
 
 def test_a_marker_of_a_later_link_needs_its_rig() -> None:

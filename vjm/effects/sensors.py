@@ -47,6 +47,7 @@ class CameraScale(Effect):
     reference = "Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. Pattern Analysis 22(11), 2000"
     distinguishing_experiment = "two fiducials at a known distance in the camera's view"
     abscissa = "position"
+    camera_order = 2
     common = True
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
@@ -66,6 +67,7 @@ class CameraRotation(_CameraEffect):
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "tangential"
+    camera_order = 2
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Return the reason if nothing else says where the arm points."""
@@ -97,6 +99,7 @@ class CameraTranslation(_CameraEffect):
     )
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; several hub angles"
     abscissa = "marker"
+    camera_order = 3
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return shifted positions."""
@@ -127,6 +130,7 @@ class CameraVibration(WaveEffect, _CameraEffect):
     )
     distinguishing_experiment = "a fixed fiducial in the camera's view; a quiet recording, in which nothing moves"
     abscissa = "frequency"
+    camera_order = 3
 
     @property
     def coordinates(self) -> Array:
@@ -184,6 +188,7 @@ class LensDistortion(_CameraEffect):
     reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
     distinguishing_experiment = "three or more fiducials at known distances in the camera's view"
     abscissa = "radial"
+    camera_order = 1
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return distorted positions."""

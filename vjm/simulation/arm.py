@@ -210,8 +210,8 @@ class Arm:
 
     @cached_property
     def sensors(self) -> tuple[Effect, ...]:
-        """Effects on the sensors."""
-        return tuple(effect for effect in self.effects if effect.sensor)
+        """Effects on the sensors, in the order in which the camera's change what it sees."""
+        return tuple(sorted((effect for effect in self.effects if effect.sensor), key=lambda each: each.camera_order))
 
     @cached_property
     def exposure_effects(self) -> tuple[Effect, ...]:
