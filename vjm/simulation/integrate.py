@@ -440,15 +440,15 @@ class _LinearPropagator:
             (half_flow, half1 / 2 - 2 * late - last, late, late, last),
             (flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3),
         )
-        itself = np.zeros((len(copies), 3 * n, n))  # of a torque
-        itself[:, 2 * n :] = np.eye(n)
-        with_torques = (np.concatenate([stage, springs @ stage], axis=1) for stage in stages)
-        weights = (_transposed(np.concatenate([itself, stage], axis=2)) for stage in with_torques)
+        applied = np.zeros((len(copies), 3 * n, n))  # torques are added to those of springs and dampers
+        applied[:, 2 * n :] = np.eye(n)
+        with_springs = (np.concatenate([stage, springs @ stage], axis=1) for stage in stages)
+        weights = (_transposed(np.concatenate([applied, stage], axis=2)) for stage in with_springs)
         return _Weights._make([*weights, _transposed(inverse[:, :, self.system.active])])
 
 
 def _by_accelerations(rate: Array, *stages: tuple[Array, ...]) -> list[Array]:
-    """Return matrices (C, 2 n, 2 n + s n) of stages 1, 2, ... for accelerations of the s stages before.
+    """Return matrices (C, 2 n, 2 n + s n) that lead to stages 1, 2, ... from the s stages' accelerations before each.
 
     Args:
         rate: (C, n, 2 n) from states to linear accelerations.
