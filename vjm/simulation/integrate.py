@@ -19,7 +19,7 @@ from vjm.model.modes import locked_modes
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.stick_slip import FrictionHistory, under_friction
-from vjm.simulation.system import Drive, System, Trajectory
+from vjm.simulation.system import Drive, System, Trajectory, as_slice
 
 _LEAST_STEPS = 20  # of a short recording
 _MOST_STEPS = 2e7  # of a long one: several GiB, and a day of an arm that swings once in a second
@@ -197,7 +197,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     has_further_forces, internal = system.has_further_forces, z.size > 0
     # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
-    active, friction = system.active, _StickSlip(system, step, count) if system.has_dry_friction else None
+    friction = _StickSlip(system, step, count) if system.has_dry_friction else None
 
     # The next stage's torques, the state at the step's start and the accelerations of the stages so far: of these, the
     # next stage is one product. For few copies most of the time is Python's and NumPy's, so that arrays are made once.
@@ -236,9 +236,9 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
             first, line = friction.over_step(v, a[0], weights.response)
             a[0] += _multiply(line[0] - acting, weights.response)
             at_once = at_once + first - line[0]
-            middle[k][:, active] += line[1]
-            end[k][:, active] += line[2]
-            start[k + 1][:, active] += friction.torque
+            middle[k][:, friction.active] += line[1]
+            end[k][:, friction.active] += line[2]
+            start[k + 1][:, friction.active] += friction.torque
         record(k, a[0] + _multiply(at_once, weights.response), z)
         advance(2, weights, middle[k])
         z2 = accelerate_at(2, k + 0.5, z + step / 2 * z1 if internal else z)
@@ -309,12 +309,14 @@ class _StickSlip:
     as the extrapolation is wrong, and is stopped again in the next step.
 
     Attributes:
+        active: coordinates of the joints.
         torque: (C, n_a) over the second half of the last step [N m].
         history: of all half steps, as far as they have been advanced.
     """
 
     def __init__(self, system: System, step: float, count: int) -> None:
         self.system, self.step = system, step
+        self.active = as_slice(system.active)
         self.torque = np.zeros((len(system.arms), system.active.size))
         # Arrays of the whole motion: those of single steps would take ten times the memory in a long recording.
         self.history = FrictionHistory(*np.empty((len(FrictionHistory._fields), 2 * count, *self.torque.shape)))
@@ -328,13 +330,13 @@ class _StickSlip:
             v, a: (C, nv) rates [rad/s], and accelerations [rad/s^2] under `torque`, at the start.
             response: (C, n_a, nv) accelerations by the active joints' torques [rad/s^2/(N m)]; one for all if equal.
         """
-        active, half = self.system.active, self.step / 2
+        active, half = self.active, self.step / 2
         mobility, rate, accelerated = response[:, :, active], v[:, active], a[:, active]
         free = accelerated - _multiply(self.torque, mobility)
         change = 0.0 if self._free is None else (free - self._free) / 4  # over a quarter of a step
         self._free = free
-        middle = v.copy()
-        middle[:, active] = np.where(rate * (rate + half * accelerated) > 0, rate + half * accelerated, 0.0)
+        middle, passed = v.copy(), rate + half * accelerated
+        middle[:, active] = np.where(rate * passed > 0, passed, 0.0)
         largest = self.system.friction_torques(middle)[:, active]
         first = self._over_half(rate, free + change, largest, mobility)
         self.torque = self._over_half(self.history.after[self._half - 1], free + 3 * change, largest, mobility)
@@ -343,13 +345,13 @@ class _StickSlip:
 
     def _over_half(self, rate: Array, push: Array, largest: Array, mobility: Array) -> Array:
         """Return mean friction torques (C, n_a), from rates and pushes (C, n_a), and note what happens."""
-        duration, torque = self.step / 2, self.torque.copy()
+        duration, torque, several = self.step / 2, self.torque.copy(), rate.shape[1] > 1
         for j in range(rate.shape[1]):  # each under the latest friction of the others
             own, pushed = mobility[:, j, j], push[:, j]
-            if rate.shape[1] > 1:
+            if several:
                 pushed = pushed + _multiply(torque, mobility)[:, j] - own * torque[:, j]
             found = under_friction(rate[:, j], pushed, own * largest[:, j], duration)
-            torque[:, j] = ((found.after - rate[:, j]) / duration - pushed) / own
+            torque[:, j] = ((found.after - found.before) / duration - pushed) / own
             for values, of_joint in zip(self.history, found, strict=True):
                 values[self._half, :, j] = of_joint
         self._half += 1

@@ -16,7 +16,7 @@ class FrictionHistory(NamedTuple):
         before, after: (H, ..., n_a) rates at the beginning and at the end of the half step [rad/s].
         stop: (H, ..., n_a) share of it after which the joint stops; infinite where it does not.
         slipping: (H, ..., n_a) acceleration until then [rad/s^2].
-        restarted: (H, ..., n_a) acceleration from then on; zero where friction holds the joint.
+        restarted: (H, ..., n_a) acceleration from then on if it stops; zero where friction holds the joint.
     """
 
     before: Array
@@ -106,8 +106,12 @@ def under_friction(rate: Array, push: Array, braking: Array, duration: float) ->
         duration: [s].
     """
     slipping = push - np.sign(rate) * braking
+    after = rate + slipping * duration
+    never = np.full(rate.shape, np.inf)
+    if (rate * after > 0.0).all():  # none stops
+        return FrictionHistory(rate, after, never, slipping, slipping)
     until = np.where(rate == 0.0, 0.0, -rate / slipping)
     restarted = push - np.maximum(np.minimum(push, braking), -braking)
     stops = (until >= 0.0) & (until < duration) & (braking > 0.0)
-    after = np.where(stops, restarted * (duration - until), rate + slipping * duration)
-    return FrictionHistory(rate, after, np.where(stops, until / duration, np.inf), slipping, restarted)
+    after = np.where(stops, restarted * (duration - until), after)
+    return FrictionHistory(rate, after, np.where(stops, until / duration, never), slipping, restarted)

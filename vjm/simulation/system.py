@@ -161,7 +161,7 @@ class System:
 
     @property
     def _all_copies(self) -> slice:
-        return slice(0, len(self.arms))
+        return slice(0, len(self.arms), 1)
 
     @property
     def has_further_forces(self) -> bool:
@@ -197,7 +197,7 @@ class System:
         for k, arm in enumerate(self.arms):
             if arm.has_dry_friction:
                 groups.setdefault(id(arm), []).append(k)
-        return [(_rows(copies), self.arms[copies[0]]) for copies in groups.values()]
+        return [(as_slice(copies), self.arms[copies[0]]) for copies in groups.values()]
 
     def friction_torques(self, v: Array) -> Array:
         """Return the dry friction (C, nv) [N m] of the joints at rates (C, nv) [rad/s]."""
@@ -226,7 +226,7 @@ def _mechanisms(
     for k, (chain, payload) in enumerate(zip(chains, payloads, strict=True)):
         groups.setdefault((id(chain), payload), []).append(k)
     return tuple(
-        (_rows(copies), mechanism_of(chains[copies[0]], payload, gravity)) for (_, payload), copies in groups.items()
+        (as_slice(copies), mechanism_of(chains[copies[0]], payload, gravity)) for (_, payload), copies in groups.items()
     )
 
 
@@ -240,14 +240,16 @@ def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Ac
         arm = arms[copies[0]]
         force = arm.forces(payload)
         if force is not None or any(arm.state_counts):
-            acting.append(_Acting(_rows(copies), arm, force))
+            acting.append(_Acting(as_slice(copies), arm, force))
     return tuple(acting)
 
 
-def _rows(copies: Sequence[int]) -> Indices | slice:
-    """Return an index of rows: a slice of adjacent ones, which copies nothing."""
-    adjacent = copies[-1] - copies[0] == len(copies) - 1
-    return slice(copies[0], copies[-1] + 1) if adjacent else np.array(copies)
+def as_slice(indices: Sequence[int] | Indices) -> Indices | slice:
+    """Return an index of evenly spaced rows or columns as a slice, which copies nothing; of others, as an array."""
+    steps = {int(step) for step in np.diff(indices)} or {1}
+    if len(steps) > 1 or min(steps) < 1 or not len(indices):
+        return np.array(indices)
+    return slice(int(indices[0]), int(indices[-1]) + 1, steps.pop())
 
 
 # Weights of q, h v and h^2 a at a step's start and end, by powers (rows) of the share of the step that has passed.
