@@ -162,7 +162,7 @@ def test_two_joints_are_held_each_by_its_own_friction(push: tuple[float, float],
     effects = [CoulombFriction(each).placed(rig, link) for link, each in ((0, 0.03), (1, 0.01))]
     (steps,) = simulate_trajectories([Arm.of(chain, effects)], [recording], [rest], [rest])
     largest = np.abs(steps.angles(time)[:, chain.active]).max()
-    assert largest > 1e-3 if moves else largest < 1e-6
+    assert largest > 1e-3 if moves else largest < 1e-5
 
 
 @pytest.mark.slow
@@ -197,7 +197,8 @@ def test_a_joint_stops_at_once_and_starts_if_pushed_harder(
 
     def stopped(rate: float, duration: float) -> float:
         with np.errstate(all="ignore"):
-            return float(under_friction(*np.array([[rate], [push], [braking]]), duration).after[0])
+            start, pushed, braked, zero = np.array([[rate], [push], [braking], [0.0]])
+            return float(under_friction(start, (pushed, zero), (braked, zero), duration)[0].after[0])
 
     end = stopped(rate, duration)
     assert stopped(stopped(rate, duration / 2), duration / 2) == pytest.approx(end, abs=1e-12)

@@ -177,24 +177,26 @@ class Arm:
     @property
     def _friction(self) -> dict[str, float]:
         """Dry friction at active joints by their link's name [N m]."""
-        at_speed = self.friction_torques(np.full(self.chain.size, np.inf))[self.chain.active]
+        at_speed = self.friction_torques(np.full(self.chain.active.size, np.inf))
         names = [link.name for link in self.chain.links if link.joint == "revolute"]
         return {name: float(torque) for name, torque in zip(names, at_speed, strict=True) if torque}
 
     @cached_property
     def _dry_friction(self) -> list[tuple[int, Callable[[Array], Array]]]:
-        return [friction for friction, _ in self._hooks(lambda effect: effect.dry_friction(self.chain))]
+        joints = self.chain.active.tolist()
+        hooks = self._hooks(lambda effect: effect.dry_friction(self.chain))
+        return [(joints.index(joint), friction) for (joint, friction), _ in hooks]
 
     @property
     def has_dry_friction(self) -> bool:
         """True if a joint may stick."""
         return bool(self._dry_friction)
 
-    def friction_torques(self, v: Array) -> Array:
-        """Return the dry friction (..., nv) [N m] that the joints have at rates (..., nv), at most where they rest."""
-        torques = np.zeros(v.shape)
+    def friction_torques(self, rates: Array) -> Array:
+        """Return the active joints' dry friction (..., n_a) [N m] at rates (..., n_a), at most where they rest."""
+        torques = np.zeros(rates.shape)
         for joint, friction in self._dry_friction:
-            torques[..., joint] += friction(v[..., joint])
+            torques[..., joint] += friction(rates[..., joint])
         return torques
 
     @property

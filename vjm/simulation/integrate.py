@@ -18,7 +18,7 @@ from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedErro
 from vjm.model.modes import locked_modes
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.stick_slip import FrictionHistory, under_friction
+from vjm.simulation.stick_slip import FrictionWeights, StickSlip, multiply
 from vjm.simulation.system import Drive, System, Trajectory, as_slice
 
 _LEAST_STEPS = 20  # of a short recording
@@ -197,14 +197,16 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     has_further_forces, internal = system.has_further_forces, z.size > 0
     # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
-    friction = _StickSlip(system, step, count) if system.has_dry_friction else None
+    friction = None
+    if system.has_dry_friction:
+        friction = StickSlip(system.friction_torques, (start, middle, end), as_slice(system.active), step)
 
     # The next stage's torques, the state at the step's start and the accelerations of the stages so far: of these, the
     # next stage is one product. For few copies most of the time is Python's and NumPy's, so that arrays are made once.
     y = np.concatenate([start[0], q, v, np.empty((len(q), 5 * n))], axis=1)
     applied, x, a = y[:, :n], y[:, n : 3 * n], [y[:, k * n : (k + 1) * n] for k in range(3, 8)]
     known = [y[:, : k * n] for k in range(3, 9)]
-    stage = _multiply(known[0], propagator.at(x).first)
+    stage = multiply(known[0], propagator.at(x).first)
     at_stage, q, v, torque = stage[:, : 2 * n], stage[:, :n], stage[:, n : 2 * n], stage[:, 2 * n :]
 
     def accelerate_at(number: int, k: float, z: Array) -> Array:
@@ -218,7 +220,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
 
     def advance(number: int, weights: _Weights, torque: Array) -> None:
         applied[:] = torque
-        _multiply(known[number - 1], weights[number - 1], stage)
+        multiply(known[number - 1], weights[number - 1], stage)
 
     def record(k: int, a: Array, z: Array) -> None:
         path.q[k], path.v[k], path.a[k] = q, v, a
@@ -232,14 +234,10 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         z1 = accelerate_at(1, k, z)
         at_once = missing[k]
         if friction is not None:
-            acting = friction.torque
-            first, line = friction.over_step(v, a[0], weights.response)
-            a[0] += _multiply(line[0] - acting, weights.response)
-            at_once = at_once + first - line[0]
-            middle[k][:, friction.active] += line[1]
-            end[k][:, friction.active] += line[2]
-            start[k + 1][:, friction.active] += friction.torque
-        record(k, a[0] + _multiply(at_once, weights.response), z)
+            further, missing_friction = friction.over_step(k, known[1], weights.friction)
+            a[0] += multiply(further, weights.response)
+            at_once = at_once + missing_friction
+        record(k, a[0] + multiply(at_once, weights.response), z)
         advance(2, weights, middle[k])
         z2 = accelerate_at(2, k + 0.5, z + step / 2 * z1 if internal else z)
         advance(3, weights, middle[k])
@@ -273,22 +271,13 @@ def _of_all_joints(system: System, active: Array) -> Array:
     return torques
 
 
-def _multiply(states: Array, matrices: Array, out: Array | None = None) -> Array:
-    """Return states (C, m) times the transposed matrix of each copy, or that all copies share, in `out` if given."""
-    if len(matrices) == 1:
-        product: Array = states.dot(matrices[0], out)  # has less overhead than `np.dot` and `np.matmul`
-        return product
-    result: Array = np.matmul(states[:, None, :], matrices, out=None if out is None else out[:, None, :])[:, 0]
-    return result
-
-
 class _Weights(NamedTuple):
     """Matrices of the steps (C, ...), transposed.
 
     `first` to `fifth` take the torques at a stage, the state at the step's start and the accelerations of the stages so
     far, side by side, to the state at the stage and these torques with those of springs and dampers; `end` does so for
-    the end of the step. `response` takes active torques (n_a,) to accelerations (nv,). One copy stands for all where
-    they are equal.
+    the end of the step. `response` takes active torques (n_a,) to accelerations (nv,), the further ones are
+    `FrictionWeights`. One copy stands for all where they are equal.
     """
 
     first: Array
@@ -298,64 +287,16 @@ class _Weights(NamedTuple):
     fifth: Array
     end: Array
     response: Array
+    by_motion: Array
+    by_friction: Array
+    by_torque: Array
+    mobility: Array
+    later: Array
 
-
-class _StickSlip:
-    """Dry friction of the copies' active joints, from step to step.
-
-    Over a step a joint's acceleration without friction is extrapolated from the last two. Its rate follows from that in
-    two halves, each with the instant at which the joint stops: it stays at rest as long as friction can hold it. The
-    friction is then replaced by the line with the same mean in either half. A joint that is held thus moves by as much
-    as the extrapolation is wrong, and is stopped again in the next step.
-
-    Attributes:
-        active: coordinates of the joints.
-        torque: (C, n_a) over the second half of the last step [N m].
-        history: of all half steps, as far as they have been advanced.
-    """
-
-    def __init__(self, system: System, step: float, count: int) -> None:
-        self.system, self.step = system, step
-        self.active = as_slice(system.active)
-        self.torque = np.zeros((len(system.arms), system.active.size))
-        # Arrays of the whole motion: those of single steps would take ten times the memory in a long recording.
-        self.history = FrictionHistory(*np.empty((len(FrictionHistory._fields), 2 * count, *self.torque.shape)))
-        self._half = 0  # the next one
-        self._free: Array | None = None  # (C, n_a) accelerations without friction at the last step's start [rad/s^2]
-
-    def over_step(self, v: Array, a: Array, response: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        """Return the friction torque (C, n_a) of a step's first half, and the line's at its start, middle and end.
-
-        Args:
-            v, a: (C, nv) rates [rad/s], and accelerations [rad/s^2] under `torque`, at the start.
-            response: (C, n_a, nv) accelerations by the active joints' torques [rad/s^2/(N m)]; one for all if equal.
-        """
-        active, half = self.active, self.step / 2
-        mobility, rate, accelerated = response[:, :, active], v[:, active], a[:, active]
-        free = accelerated - _multiply(self.torque, mobility)
-        change = 0.0 if self._free is None else (free - self._free) / 4  # over a quarter of a step
-        self._free = free
-        middle, passed = v.copy(), rate + half * accelerated
-        middle[:, active] = np.where(rate * passed > 0, passed, 0.0)
-        largest = self.system.friction_torques(middle)[:, active]
-        first = self._over_half(rate, free + change, largest, mobility)
-        self.torque = self._over_half(self.history.after[self._half - 1], free + 3 * change, largest, mobility)
-        mean, lean = (first + self.torque) / 2, 0.75 * (self.torque - first)
-        return first, (mean - lean, mean, mean + lean)
-
-    def _over_half(self, rate: Array, push: Array, largest: Array, mobility: Array) -> Array:
-        """Return mean friction torques (C, n_a), from rates and pushes (C, n_a), and note what happens."""
-        duration, torque, several = self.step / 2, self.torque.copy(), rate.shape[1] > 1
-        for j in range(rate.shape[1]):  # each under the latest friction of the others
-            own, pushed = mobility[:, j, j], push[:, j]
-            if several:
-                pushed = pushed + _multiply(torque, mobility)[:, j] - own * torque[:, j]
-            found = under_friction(rate[:, j], pushed, own * largest[:, j], duration)
-            torque[:, j] = ((found.after - found.before) / duration - pushed) / own
-            for values, of_joint in zip(self.history, found, strict=True):
-                values[self._half, :, j] = of_joint
-        self._half += 1
-        return torque
+    @property
+    def friction(self) -> FrictionWeights:
+        """Weights for dry friction."""
+        return FrictionWeights(self.by_motion, self.by_friction, self.by_torque, self.mobility, self.later)
 
 
 class _LinearPropagator:
@@ -445,8 +386,52 @@ class _LinearPropagator:
         applied = np.zeros((len(copies), 3 * n, n))  # torques are added to those of springs and dampers
         applied[:, 2 * n :] = np.eye(n)
         with_springs = (np.concatenate([stage, springs @ stage], axis=1) for stage in stages)
-        weights = (_transposed(np.concatenate([applied, stage], axis=2)) for stage in with_springs)
-        return _Weights._make([*weights, _transposed(inverse[:, :, self.system.active])])
+        weights = [np.concatenate([applied, stage], axis=2) for stage in with_springs]
+        response = inverse[:, :, self.system.active]
+        halves, wholes = (half_flow, half1, half2, half3), (flow, phi1, phi2, phi3)
+        friction = _friction_weights(step, rate, response, self.system.active, halves, wholes)
+        return _Weights._make(_transposed(part) for part in (*weights, response, *friction))
+
+
+def _friction_weights(
+    step: float, rate: Array, response: Array, active: Indices, half: tuple[Array, ...], full: tuple[Array, ...]
+) -> list[Array]:
+    """Return the matrices of `FrictionWeights`, not transposed.
+
+    Args:
+        step: [s].
+        rate: (C, n, 2 n) from states to linear accelerations.
+        response: (C, n, n_a) from active torques to accelerations.
+        active: coordinates of the active joints.
+        half, full: exp, phi_1, phi_2, phi_3 of half a step and of a step, the last three times the step.
+    """
+    n, (half_flow, half1, half2, half3), (flow, phi1, phi2, phi3) = rate.shape[1], half, full
+    joints = np.zeros((active.size, 2 * n))
+    joints[range(active.size), n + active] = 1.0
+
+    def mean(changes: Array) -> Array:
+        """Return mean accelerations of the joints from changes of the state over half a step."""
+        return joints @ changes * (2 / step)
+
+    # Changes of the state by itself, by what remains, and by the quadratic torque in the middle and at the end.
+    first = half_flow - np.eye(2 * n), half1 / 2, half2 - half3, half3 / 2 - half2 / 4
+    whole = flow - half_flow, phi1 - half1 / 2, 4 * phi2 - 8 * phi3 - first[2], 4 * phi3 - phi2 - first[3]
+    state, remainder, middle, end = (
+        np.concatenate([mean(a), mean(b)], axis=1) for a, b in zip(first, whole, strict=True)
+    )
+    by_start = np.zeros((*state.shape[:2], n))
+    by_start[:, :, active] = -(middle + end) @ response
+    by_motion = np.concatenate([by_start, state - remainder @ rate, remainder], axis=2)
+    by_friction = (middle + end - remainder) @ response
+    by_torque = np.concatenate([middle @ response, end @ response], axis=2)
+    pushed = half1 / 2 @ response
+    return [
+        by_motion,
+        by_friction,
+        by_torque,
+        mean(pushed),
+        mean(half_flow @ pushed - pushed),
+    ]
 
 
 def _by_accelerations(rate: Array, *stages: tuple[Array, ...]) -> list[Array]:

@@ -199,13 +199,13 @@ class System:
                 groups.setdefault(id(arm), []).append(k)
         return [(as_slice(copies), self.arms[copies[0]]) for copies in groups.values()]
 
-    def friction_torques(self, v: Array) -> Array:
-        """Return the dry friction (C, nv) [N m] of the joints at rates (C, nv) [rad/s]."""
+    def friction_torques(self, rates: Array) -> Array:
+        """Return the active joints' dry friction (..., C, n_a) [N m] at rates (..., C, n_a) [rad/s]."""
         if len(self._braked) == 1 and self._braked[0][0] == self._all_copies:
-            return self._braked[0][1].friction_torques(v)
-        torques = np.zeros(v.shape)
+            return self._braked[0][1].friction_torques(rates)
+        torques = np.zeros(rates.shape)
         for copies, arm in self._braked:
-            torques[copies] = arm.friction_torques(v[copies])
+            torques[..., copies, :] = arm.friction_torques(rates[..., copies, :])
         return torques
 
     def accelerations(self, q: Array, v: Array, torque: Array, out: Array | None = None) -> Array:

@@ -365,9 +365,11 @@ def _state_derivatives(equations: _EquationsOfMotion, motion: Motions, shapes: A
             if nz:
                 rates[:, :, column] = (equations.state_rates(varied) - state_rates) / step
     if arm.has_dry_friction:  # its slope by the rate is the same in either direction
-        faster = motion.v + DIFFERENCE_STEP * np.sign(motion.v)
-        slope = (arm.friction_torques(faster) - arm.friction_torques(motion.v))[:, :, None] / DIFFERENCE_STEP
-        forces[:, :, m : 2 * m] += slope * shapes
+        active = arm.chain.active
+        turning = motion.v[:, active]
+        faster = turning + DIFFERENCE_STEP * np.sign(turning)
+        slope = (arm.friction_torques(faster) - arm.friction_torques(turning)) / DIFFERENCE_STEP
+        forces[:, active, m : 2 * m] += slope[:, :, None] * shapes[:, active]
     for k, step_z in enumerate(DIFFERENCE_STEP * np.eye(nz)):
         varied = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(varied) - further_torque) / DIFFERENCE_STEP
@@ -386,11 +388,11 @@ def _dry_friction(
     """Return dry friction's coefficients along each motion, from modal mass matrices (I, m, m); None without any."""
     if not arm.has_dry_friction:
         return [None] * len(bases)
-    chain, torques = arm.chain, arm.friction_torques(motion.v)
-    changes = np.zeros((len(motion.v), chain.active.size, len(perturbed)))
+    chain = arm.chain
+    torques = arm.friction_torques(motion.v[:, chain.active])
+    changes = np.zeros((*torques.shape, len(perturbed)))
     for k, ((other_arm, step, _), varied) in enumerate(zip(perturbed, others, strict=True)):
-        shared = np.delete(np.arange(varied.v.shape[1]), _added_joints(chain, other_arm.chain))
-        changes[:, :, k] = (other_arm.friction_torques(varied.v)[:, shared] - torques)[:, chain.active] / step
+        changes[:, :, k] = (other_arm.friction_torques(varied.v[:, other_arm.chain.active]) - torques) / step
     coefficients: list[DryFrictionCoefficients | None] = []
     for basis, part in zip(bases, motion.parts, strict=True):
         rates = basis.shapes[chain.active]
