@@ -70,9 +70,9 @@ def test_friction_in_a_half_step_is_that_of_tiny_steps(seed: int) -> None:
     (start,), (p, dp), (b, db) = (np.array(values).reshape(-1, 1) for values in ([rate], push, braking))
     with np.errstate(all="ignore"):
         found, moments = under_friction(start, (p, dp), (b, db), HALF)
-    assert found.after[0] == pytest.approx(rates[-1], abs=3e-6)
+    assert found.after[0] == pytest.approx(rates[-1], abs=2 * step * bounds.max())
     for order, moment in enumerate(moments):  # the kink at a release is no part of the higher ones
-        tolerance = 0.02 if order and np.isfinite(found.release[0]) else 3e-3
+        tolerance = 3e-3 + 0.03 * abs(push[1]) * (order > 0 and np.isfinite(found.release[0]))
         assert moment[0] == pytest.approx(np.mean(friction * x**order), abs=tolerance), order
 
 
