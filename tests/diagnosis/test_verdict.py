@@ -331,3 +331,13 @@ def test_recordings_that_support_no_statement_are_told_why(change: Callable[...,
     (said,) = why_insufficient(Experiment(RIG, change(*given)))
     assert reason in said
     assert why_insufficient(Experiment(RIG, given)) == ()
+
+
+def test_a_cause_that_shows_in_predictions_alone_is_a_cause() -> None:
+    """A search that ended in segments, of which it explains little, for each has an initial state of its own."""
+    random = np.random.default_rng(1)
+    small, large = (size * random.standard_normal((400, 2, 2)) for size in (3e-4, 6e-4))
+    seen = conclude(findings(decrease=0.009, recordings=(compared(recording(), large, small),)))
+    assert [cause.effect.id for cause in seen.causes] == ["tip_payload"]
+    unseen = conclude(findings(decrease=0.009, recordings=(compared(recording(), small, small),)))
+    assert unseen.causes == ()

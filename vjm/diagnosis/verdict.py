@@ -138,7 +138,8 @@ def is_unexplained(findings: Diagnosis) -> bool:
 def conclude(findings: Diagnosis) -> Diagnosis:
     """Add the conclusions: verdict, gain on held-out recordings, what remains, what to do next.
 
-    Causes that together explain too little to be seen in the residual are dropped.
+    Causes that together explain too little to be seen in the residual, in training or held out, are dropped. In
+    segments, where the search may have ended, some leave hardly a trace, and yet make whole recordings drift apart.
     """
     findings = replace(
         findings,
@@ -149,7 +150,7 @@ def conclude(findings: Diagnosis) -> Diagnosis:
         return replace(findings, next_experiment=findings.insufficient[0])
     unexplained = is_unexplained(findings)
     gain = _estimate_gain(findings.recordings, findings.seed)
-    if findings.causes and findings.decrease < VISIBLE_SHARE and not unexplained:
+    if findings.causes and findings.decrease < VISIBLE_SHARE and not _is_visible(gain) and not unexplained:
         findings = _without_causes(findings)
         gain = _estimate_gain(findings.recordings, findings.seed)
     verdict: Verdict = "named" if findings.causes else "none"
@@ -165,6 +166,11 @@ def conclude(findings: Diagnosis) -> Diagnosis:
     remaining = Remaining(findings.residuals.p_value, _description(findings))
     next_experiment = _next_experiment(findings, verdict)
     return replace(findings, verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
+
+
+def _is_visible(gain: Gain | None) -> bool:
+    """Return True if causes certainly take a visible share off the squared residuals of held-out recordings."""
+    return gain is not None and (1 - gain.interval[0]) ** 2 < 1 - VISIBLE_SHARE
 
 
 def _without_causes(findings: Diagnosis) -> Diagnosis:
