@@ -21,8 +21,8 @@ from vjm.effects.effect import (
 from vjm.records import Array, Recording
 
 # In the link's own unit of time T: the step under dry friction (angles of a hub that slews and stops are 0.2 urad off,
-# `docs/method.md`), and by how much the joint's rate changes between instants at which derivatives are taken, over which
-# friction reverses there.
+# `docs/method.md`), and by how much the joint's rate changes between instants at which derivatives are taken, over
+# which friction reverses there.
 _FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 120, 1 / 40
 
 
