@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS
@@ -103,15 +104,19 @@ class _Balance:
         root = self.hub_inertia + float(self.root_inertias.sum())
         return float(np.hypot(root * self.heading_noise, np.linalg.norm(self.marker_noises.sum(axis=0))))
 
-    def weight(self, gravity: complex, masses: Array = _AS_DECLARED) -> Array:
-        """Return projections (N,) of the moment of a gravity x + i y [m/s^2] on masses (3,) over those declared."""
-        return np.asarray(np.tensordot(masses, self.levers, 1) @ np.array([gravity.real, gravity.imag]))
+    def weight(self, gravity: complex | NDArray[np.complex128], masses: Array = _AS_DECLARED) -> Array:
+        """Return projections (..., N) of the moment of gravities x + i y (...) [m/s^2].
 
-    def masses_noise(self, masses: Array) -> float:
-        """Return the 1-sigma noise of the momentum of masses (3,) over those declared, without the hub's."""
-        return float(
-            np.hypot(masses @ self.root_inertias * self.heading_noise, np.linalg.norm(masses @ self.marker_noises))
-        )
+        They act on masses (..., 3) over those declared.
+        """
+        levers = np.tensordot(masses, self.levers, 1)
+        gravity = np.asarray(gravity)[..., None]
+        return np.asarray(levers[..., 0] * gravity.real + levers[..., 1] * gravity.imag)
+
+    def masses_noise(self, masses: Array) -> Array:
+        """Return the 1-sigma noise (...) of the momentum of masses (..., 3) over those declared, without the hub's."""
+        markers = np.linalg.norm(masses @ self.marker_noises, axis=-1)
+        return np.asarray(np.hypot(masses @ self.root_inertias * self.heading_noise, markers))
 
 
 def balances(experiment: Experiment) -> list[list[_Balance]]:
@@ -262,25 +267,30 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
     Where no torque acts it may not, for a free arm's momentum is conserved with the right one only.
     """
     gains = []
+    masses = np.array([scale.masses for scale in scales])
+    torques = np.array([scale.torque for scale in scales])[:, None]
     silent = recording[0].silent
-    hubs = [np.array([scale.hub * link.hub_inertia]) if silent else _possible_hubs(link, scale) for scale in scales]
+    hubs = np.array([[scale.hub * link.hub_inertia] if silent else _possible_hubs(link, scale) for scale in scales])
     for balance in recording:
         declared = complex(*balance.gravity)
         if np.median((balance.momentum - balance.weight(declared)) ** 2) > 9 * balance.noise**2:
+            # The full weight counts however little of it there may be.
+            full = balance.weight(np.array([declared or scale.undeclared for scale in scales]), masses)
+            given = np.array([scale.gravity * declared for scale in scales])
+            weight = balance.weight(given, masses) if declared else full
+            applied, links = torques * balance.torque + weight, masses @ balance.momenta
+            sizes = torques[:, 0] ** 2 * np.median(balance.torque**2) + np.median(full**2, axis=1)
             misfits = []
-            for scale, hub in zip(scales, hubs, strict=True):
-                torque, masses = scale.torque * balance.torque, scale.masses
-                full = balance.weight(declared or scale.undeclared, masses)  # however little of it there may be
-                weight = balance.weight(scale.gravity * declared, masses) if declared else full
-                momentum = masses @ balance.momenta + hub[:, None] * balance.turning
-                noise = balance.masses_noise(masses) ** 2 + (hub * balance.heading_noise) ** 2
+            for inertias in hubs.T:
+                momentum = links + inertias[:, None] * balance.turning
+                noise = balance.masses_noise(masses) ** 2 + (inertias * balance.heading_noise) ** 2
                 # Relative, so that none is likelier for small numbers; medians, since a glitch spoils few windows.
-                error, *sizes = (np.median(x**2, axis=-1) for x in (torque + weight - momentum, torque, full, momentum))
-                misfits.append((error + noise) / (sum(sizes) + noise))
-            gains.append(-0.5 * balance.independent * np.log(np.array(misfits)))
+                error, size = (np.median(x**2, axis=1) for x in (applied - momentum, momentum))
+                misfits.append((error + noise) / (sizes + size + noise))
+            gains.append(-0.5 * balance.independent * np.log(misfits))
     if not gains:
         return np.zeros(len(scales))
-    likelihoods = np.mean(gains, axis=0).max(axis=1)
+    likelihoods = np.mean(gains, axis=0).max(axis=0)
     return np.asarray(likelihoods - likelihoods[0])
 
 
