@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import vjm
+from tests.diagnosis.rigs import RIG, recorded
 from tests.fine_beam.make_hub import write_hub_experiment
 from tests.simulation.integrators import simulate
 from vjm.chain.layout import layout, uniform_chain
@@ -272,6 +273,17 @@ def test_nothing_is_wrong_with_what_is_right(rig: Callable[[], Experiment], seen
         experiment = replace(experiment, conventions=conventions)
     assert find_mistakes(experiment) == ()
     assert vjm.check(experiment).problem == ""
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
+def test_a_hub_as_heavy_as_the_link_is_known_roughly(share: float) -> None:
+    """It may be 0.7 to 1.4 times what the rig says: a lighter link on a heavier hub is then no better told."""
+    link = replace(RIG.links[0], hub_inertia=share * RIG.links[0].mass * RIG.links[0].length ** 2 / 3)
+    chain = Chain("rig", (uniform_chain(link, layout(1.0, 3), kelvin_voigt=5e-4),))
+    recordings = recorded(Arm(chain), 1, duration=20.0, factor=4.0)
+    for factor in (0.7, 0.85, 1.18, 1.4):
+        rig = replace(RIG, links=(replace(link, hub_inertia=factor * link.hub_inertia),))
+        assert find_mistakes(Experiment(rig, tuple(recordings))) == (), factor
 
 
 def without_section(experiment: Experiment) -> Experiment:

@@ -37,6 +37,7 @@ _ROUGHLY = np.geomspace(0.1, 10.0, 9)  # of a hub's inertia that is given
 _UNKNOWN = np.array([0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])  # of the link's, where none is given
 _SEVERALFOLD = 0.1, 10.0  # of masses that are no unit's: of the right order of magnitude if that is wrong
 _AS_DECLARED = np.ones(3)
+_TRIMMED_STEPS = 3  # of a hub's least squares: what is used hardly changes any more
 _SHORTEST = 16  # samples of a window: its second derivative is then sampled well
 
 
@@ -280,18 +281,53 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
             weight = balance.weight(given, masses) if declared else full
             applied, links = torques * balance.torque + weight, masses @ balance.momenta
             sizes = torques[:, 0] ** 2 * np.median(balance.torque**2) + np.median(full**2, axis=1)
-            misfits = []
-            for inertias in hubs.T:
-                momentum = links + inertias[:, None] * balance.turning
-                noise = balance.masses_noise(masses) ** 2 + (inertias * balance.heading_noise) ** 2
-                # Relative, so that none is likelier for small numbers; medians, since a glitch spoils few windows.
-                error, size = (np.median(x**2, axis=1) for x in (applied - momentum, momentum))
-                misfits.append((error + noise) / (sizes + size + noise))
+            parts = _Parts(
+                applied - links, links, balance.turning, sizes, balance.masses_noise(masses), balance.heading_noise
+            )
+            misfits = np.array([parts.misfit(hub) for hub in hubs.T])
+            if not silent:  # between those supposed: what is left by their distance may favour wrong masses
+                misfits = np.minimum(misfits, parts.misfit(parts.fitted(hubs, misfits)))
             gains.append(-0.5 * balance.independent * np.log(misfits))
     if not gains:
         return np.zeros(len(scales))
     likelihoods = np.mean(gains, axis=0).max(axis=0)
     return np.asarray(likelihoods - likelihoods[0])
+
+
+class _Parts(NamedTuple):
+    """Parts of the balance under f hypotheses, over N windows, apart from the hub's."""
+
+    missing: Array  # (f, N) of the links' momentum
+    links: Array  # (f, N) the links' momentum
+    turning: Array  # (N,) that an inertia of 1 kg m^2 at the joint would have
+    sizes: Array  # (f,) median squares of torque and weight
+    links_noise: Array  # (f,)
+    heading_noise: float
+
+    def misfit(self, hub: Array) -> Array:
+        """Return median squared errors over the parts' own (f,) with hubs (f,) [kg m^2].
+
+        Relative, so that none is likelier for small numbers; medians, since a glitch spoils few windows.
+        """
+        turned = hub[:, None] * self.turning
+        noise = self.links_noise**2 + (hub * self.heading_noise) ** 2
+        error, size = (np.median(x**2, axis=1) for x in (self.missing - turned, self.links + turned))
+        return np.asarray((error + noise) / (self.sizes + size + noise))
+
+    def fitted(self, hubs: Array, misfits: Array) -> Array:
+        """Return the hubs (f,) that fit best, near the best of some (f, h) with misfits (h, f), and within their range.
+
+        By least squares of the half of the windows that are explained best (P. J. Rousseeuw, Least median of squares
+        regression, J. Am. Stat. Assoc. 79, 1984).
+        """
+        best = np.take_along_axis(hubs, np.argmin(misfits, axis=0)[:, None], axis=1)
+        for _ in range(_TRIMMED_STEPS):
+            error = np.abs(self.missing - best * self.turning)
+            used = error <= np.median(error, axis=1, keepdims=True)
+            square = np.sum(used * self.turning**2, axis=1, keepdims=True)
+            product = np.sum(used * self.missing * self.turning, axis=1, keepdims=True)
+            best = np.clip(np.divide(product, square, out=best.copy(), where=square > 0), hubs[:, :1], hubs[:, -1:])
+        return np.asarray(best[:, 0])
 
 
 def _possible_hubs(link: Link, scale: _Scales) -> Array:
