@@ -208,7 +208,7 @@ def test_a_simulation_in_the_report_is_found(tmp_path: Path) -> None:
 
 def named_effects(path: Path, package: Path = PACKAGE) -> list[str]:
     """Imports of single effects: all that vjm.effects has beside what every effect is made of."""
-    common = {"BUILTIN", "Effect", "effect"}
+    common = {"BUILTIN", "Effect", "effect", "contact"}
     return [
         f"{path.relative_to(package)}:{each.line} imports {each.name}"
         for each in imports(path)

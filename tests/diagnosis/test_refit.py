@@ -104,22 +104,6 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
     assert is_determined(found, gear, 1e-6)
 
 
-def test_flanks_are_held_at_first_and_have_no_interval() -> None:
-    play = Backlash(link=0, gap=0.01).placed(RIG, 0)
-    problem = replace(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)).problem, effects=(play,))
-    (part,) = problem.parts
-    x = np.r_[problem.parametrisation.start, play.coordinates]
-    held = replace(problem, simulated_held=True)
-    assert held.max_step[part].tolist() == [np.inf, 1.0, 0.0, 0.0]
-    assert problem.max_step[part].tolist() == [np.inf, 1.0, 1.0, 1.0]
-    for each, changes in ((held, [True, True, False, False]), (problem, [True] * 4)):
-        (here, *_), (moved, *_) = each.arms(x), each.perturbed_arms(x)
-        assert [perturbed.arm.effects != here.effects for perturbed in moved[part]] == changes
-        assert [perturbed.simulated for perturbed in moved[part]] == [False, False, True, True]
-    sizes = _with_errors(play, np.eye(4))
-    assert [sizes[name].std is None for name in play.values] == [False, False, True, True]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness", "damping", "seed"),
@@ -134,7 +118,7 @@ def test_flanks_are_held_at_first_and_have_no_interval() -> None:
     ],
 )
 def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, damping: float, seed: int) -> None:
-    """They are in contact for too short a time for variational equations, and taken for granted an error of the gap."""
+    """Taken for granted they would be an error of the gap."""
     truth = Backlash(link=0, gap=0.01, motor_share=0.4, flank_stiffness=stiffness, flank_damping=damping).placed(RIG, 0)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
     start = replace(truth, gap=0.012, flank_stiffness=1000.0, flank_damping=2.5)
@@ -144,10 +128,10 @@ def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, d
     (backlash,), (part,) = found.effects, found.point.problem.parts
     assert backlash.values["gap"] == pytest.approx(0.01, rel=0.015)
     assert backlash.values["motor_share"] == pytest.approx(0.4, rel=0.01)
-    # Chi^2 is rough in the flanks' own parameters: they are right to a factor of two, and have no interval.
-    assert abs(np.log(backlash.values["flank_stiffness"] / stiffness)) < np.log(2.0)
     sizes = _with_errors(backlash, information_of(found).covariance[part, part])
-    assert [sizes[name].std is None for name in backlash.values] == [False, False, True, True]
+    for name, size in sizes.items():
+        assert size.std is not None
+        assert abs(size.value - truth.values[name]) < 3 * size.std, name
 
 
 @pytest.mark.slow
@@ -514,9 +498,8 @@ def test_no_multistart_begins_after_the_deadline(
     monkeypatch.setattr(
         candidate_fit, "_multistart", lambda *args, **options: begun.append(1) or multistart(*args, **options)
     )
-    fit = candidate_fit._fit_multistart(point.problem, point.x, point.states, StoppingRule(deadline=deadline))
+    candidate_fit._fit_multistart(point.problem, point.x, point.states, StoppingRule(deadline=deadline))
     assert bool(begun) == (deadline > 0)
-    assert not fit.point.problem.simulated_held
 
 
 @pytest.mark.parametrize("gy", [0.4, 30.0])

@@ -111,10 +111,10 @@ def test_springs_at_one_root_are_in_series_in_any_order() -> None:
 
 
 def flank_torque(twist: Array, rate: float = 0.0, gap: float = GAP) -> Array:
-    """Torque of motor on hub: the chain's spring and damper with the effect's force."""
-    effect = Backlash(gap=gap, flank_stiffness=STIFFNESS, flank_damping=DAMPING)
-    chain = effect.chain(HUB)
-    motion, root = effect.force(chain, 0.0), chain.roots[0]
+    """Torque of motor on hub: the chain's spring and damper with the effect's forces."""
+    arm = Arm.of(HUB, [Backlash(link=0, gap=gap, flank_stiffness=STIFFNESS, flank_damping=DAMPING)])
+    chain = arm.chain
+    motion, root = arm.forces(0.0), chain.roots[0]
     assert motion is not None
     q, v = np.zeros((2, twist.size, chain.size))
     q[:, root], v[:, root] = twist, rate

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from vjm.simulation.nonsmooth import DryFrictionCoefficients, Pieces
 from vjm.simulation.stick_slip import FrictionHistory, under_friction
-from vjm.simulation.variational_equations import DryFrictionCoefficients
 
 Array = NDArray[np.float64]
 HALF = 0.01  # s
@@ -79,14 +81,12 @@ def test_friction_in_a_half_step_is_that_of_tiny_steps(seed: int) -> None:
 @given(st.integers(0, 10_000), st.integers(1, 3), st.sampled_from([2, 4, 6]))
 def test_pieces_are_where_joints_are_held_or_slip_in_one_direction(seed: int, joints: int, width: int) -> None:
     (history, pushes, braking), edges = pushed(seed, joints), np.arange(0, 25, width)
-    pieces = history.pieces(edges)
-    shares = np.bincount(pieces.interval, pieces.end - pieces.start)
-    assert shares == pytest.approx(np.ones(edges.size - 1))
-    assert (pieces.end > pieces.start).all()
-    assert pieces.interval[pieces.at_edges[:-1]].tolist() == list(range(edges.size - 1))
-    for piece, (interval, start, end) in enumerate(zip(pieces.interval, pieces.start, pieces.end, strict=True)):
+    pieces = Pieces.of(edges, history)
+    assert (np.diff(pieces.bounds) > 0.0).all()
+    assert np.isin(edges, pieces.bounds).all()
+    for piece, (start, end) in enumerate(pairwise(pieces.bounds.tolist())):
         for share in (0.01, 0.5, 0.99):
-            instant = edges[interval] + width * (start + share * (end - start))
+            instant = start + share * (end - start)
             for joint in range(joints):
                 rate = rate_at(history, pushes, braking, instant, joint)
                 if pieces.held[piece, joint]:
@@ -98,11 +98,10 @@ def test_pieces_are_where_joints_are_held_or_slip_in_one_direction(seed: int, jo
 @given(st.integers(0, 10_000), st.integers(1, 5))
 def test_pieces_of_a_stretch_are_those_of_the_whole(seed: int, first: int) -> None:
     (history, _, _), edges = pushed(seed, 2), np.arange(0, 25, 4)
-    whole, part = history.pieces(edges), history.pieces(edges[first:])
-    chosen = whole.interval >= first
-    assert part.interval.tolist() == (whole.interval[chosen] - first).tolist()
+    whole, part = Pieces.of(edges, history), Pieces.of(edges[first:], history)
+    assert part.bounds == pytest.approx(whole.bounds[-part.bounds.size :], abs=1e-12)
     for one, other in zip(part[1:], whole[1:], strict=True):
-        assert np.allclose(one, other[chosen], atol=1e-12)
+        assert np.allclose(one, other[-len(one) :], atol=1e-12)
 
 
 @given(st.integers(0, 10_000))
@@ -117,7 +116,7 @@ def test_what_is_lost_of_a_small_change_of_a_rate_is_what_a_simulation_loses(see
     if np.isfinite(one.stop) != np.isfinite(other.stop):
         return  # it stops at the very end
     kept = float(((other.after - one.after) / step)[0])
-    pieces = concatenated([one]).pieces(np.array([0, 1]))
+    pieces = Pieces.of(np.array([0, 1]), concatenated([one]))
     assert 1.0 - pieces.lost.sum() == pytest.approx(kept, abs=1e-6)
 
 
@@ -125,7 +124,7 @@ def test_a_joint_without_friction_is_never_held() -> None:
     with np.errstate(invalid="ignore"):
         still, braking = (np.zeros(2), np.zeros(2)), (np.array([0.0, 1.0]), np.zeros(2))
         history = concatenated([under_friction(np.zeros(2), still, braking, HALF)[0]])
-    pieces = history.pieces(np.array([0, 1]))
+    pieces = Pieces.of(np.array([0, 1]), history)
     assert pieces.held.tolist() == [[False, True]]
     assert pieces.lost.tolist() == [[0.0, 1.0]]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -237,3 +239,12 @@ class Chain(Record):
             values += [getattr(link, f"{kind}_{field}") for kind in link.joint_kinds if kind != "virtual"]
             values.append(getattr(link, field))
         return np.hstack(values)
+
+
+@lru_cache(maxsize=1024)  # asked again for every recording and segment
+def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
+    """Return True if two chains have the same base, and links that are equal in some fields."""
+    if chain.base != other.base:
+        return False
+    links = list(zip(chain.links, other.links, strict=True))
+    return all(np.array_equal(getattr(left, field), getattr(right, field)) for left, right in links for field in fields)

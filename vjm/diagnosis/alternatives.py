@@ -194,9 +194,8 @@ def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
 def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
     """Return an effect's parameters with errors by the delta method, from its coordinates' covariance (p, p).
 
-    A whole number has none, nor has what acts in impacts only: chi^2 is rough in it, with minima up to a factor of two
-    apart, which its curvature does not show. What is a root of its coordinate has no slope at zero: its error is the
-    change over one standard error of the coordinate.
+    A whole number has none. What is a root of its coordinate has no slope at zero: its error is the change over one
+    standard error of the coordinate.
     """
     x, values = effect.coordinates, effect.values
     steps = 1e-5 * np.maximum(np.abs(x), 1.0)
@@ -209,7 +208,7 @@ def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
         slope = np.array([(point[name] - values[name]) / step for point, step in zip(moved, steps, strict=True)])
         with np.errstate(invalid="ignore"):  # the recordings may not determine a cause among several
             variance = float(slope @ covariance @ slope)
-        known = np.isfinite(variance) and not (parameter.integer or parameter.simulated)
+        known = np.isfinite(variance) and not parameter.integer
         std = float(np.sqrt(max(variance, 0.0))) if known else None
         nonnegative = parameter.lower >= 0
         parameters[name] = Estimate(name, float(values[name]), std, parameter.unit, nonnegative=nonnegative)

@@ -303,21 +303,20 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         return fit_trajectory(problem, x, None, states, stop=stop)
     before = np.inf
     # With stick-slip or play the first steps are not stopped by `max_chi2`: before the first multistart, the predicted
-    # decrease does not tell what chi^2 can be reached. Nor do the flanks of a play tell anything yet.
-    problem = replace(problem, simulated_held=nonsmooth)
+    # decrease does not tell what chi^2 can be reached.
     max_chi2, steps = (np.inf, _STEPS_BETWEEN_MULTISTARTS) if nonsmooth else (stop.max_chi2, np.inf)
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
-        max_chi2, problem = stop.max_chi2, replace(problem, simulated_held=False)
+        max_chi2 = stop.max_chi2
         if (not nonsmooth and fit.chi2 > stop.max_chi2) or monotonic() > stop.deadline:
-            return replace(fit, point=replace(fit.point, problem=problem))
+            return fit
         # The last multistart was at nearly the same coordinates where the steps since then have hardly gained.
         repeated = nonsmooth and before - fit.chi2 < _stall_decrease(fit.point)
         point = replace(fit.point, runs=_multistart(fit.point, repeated, stop.deadline))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         hopeless = stays_above(point, gained, stop.max_chi2)  # as each round of steps and multistart gains less
         if gained < _stall_decrease(point) or hopeless:
-            return replace(fit, point=replace(point, problem=problem))
+            return replace(fit, point=point)
         before, x, states = point.chi2, point.x, point.states
 
 

@@ -31,7 +31,7 @@ from vjm.threads import on_one_thread
 
 _Checks = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
 _HOOKS = (
-    *("chain", "true_inputs", "force", "dry_friction", *SENSING_HOOKS, "timing_noise"),
+    *("chain", "true_inputs", "force", "dry_friction", "contact", *SENSING_HOOKS, "timing_noise"),
     *("initial_states", "state_rates"),
 )
 _ROUNDING = 1e-9

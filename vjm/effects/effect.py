@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.effects.contact import Contact
 from vjm.errors import ShapeError
 from vjm.records import Array, Recording, Rig
 
@@ -45,9 +46,6 @@ class Parameter:
     # Of a shape parameter that may be zero: its coordinate is this power, in which the motion is about linear, of the
     # value over a typical one. None: the logarithm, whose slope vanishes at zero.
     power: int | None = None
-    # Of a shape parameter: derivatives by it are from simulations, as it acts for less time than the variational
-    # equations resolve.
-    simulated: bool = False
     # Searches start from peaks of the residuals' spectrum, over time or over the joint's angle, instead of the grid.
     from_spectrum: Literal["", "time", "joint_angle"] = ""
     # Typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length l, its mass m
@@ -135,7 +133,7 @@ def shape_parameter(unit: str, typical_magnitude: float, lower: float = 0.0, **a
     """Declare a field that says how an effect is, and is irrelevant where its magnitudes are null.
 
     The typical value is the default, zero if it has a power; the default is the grid if none is given. Further
-    attributes of `Parameter` that it may have: `upper`, `grid`, `integer`, `power`, `simulated`, `from_spectrum`,
+    attributes of `Parameter` that it may have: `upper`, `grid`, `integer`, `power`, `from_spectrum`,
     `in_rig_units`.
     """
     usual = 0.0 if attributes.get("power") else typical_magnitude
@@ -153,7 +151,7 @@ class Effect:
     link: int | None = field(default=None, kw_only=True)
     # Length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
-    # True in an arm whose derivatives are taken: what touches, or sticks only in a changed arm, then does so gradually.
+    # True in an arm whose derivatives are taken: what sticks only in a changed arm then does so gradually.
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
     id: ClassVar[str] = ""  # the class's name in snake case where it is not given
@@ -254,11 +252,6 @@ class Effect:
     def size_coordinates(self) -> tuple[int, ...]:
         """Indices of the coordinates that are zero where it is absent: its magnitudes, unless a search varies more."""
         return tuple(range(self.magnitude_count))
-
-    @property
-    def simulated_coordinates(self) -> tuple[int, ...]:
-        """Indices of the coordinates whose derivatives are taken from simulations."""
-        return tuple(k for k, parameter in enumerate(self._varied) if parameter.simulated)
 
     @property
     def root_coordinates(self) -> tuple[int, ...]:
@@ -385,6 +378,10 @@ class Effect:
         The friction is a function from rates (...) [rad/s] to the torque (...) [N m] against the motion, the largest
         that holds the joint at rest.
         """
+        return None
+
+    def contact(self, chain: Chain) -> Contact | None:
+        """Return the gap of a joint and the flanks that push in addition to `force`; None without any."""
         return None
 
     def camera_instants(self, time: Array, positions: Array) -> Array:

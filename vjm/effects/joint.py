@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain, MovingBase
+from vjm.effects.contact import Contact
 from vjm.effects.effect import (
     ColumnEffect,
     Effect,
@@ -186,9 +187,8 @@ class TorqueOffset(ColumnEffect):
 
 # Of a backlash, in the link's own units: the time step in T, a ninth of the period of a light hub of 0.012 m l^2 on
 # flanks of a thousand EI / l, which are no part of the chain's linear springs while the gap is open, and shorter on
-# stiffer ones; and the part of the gap, to either side of a flank, over which contact begins where derivatives are
-# taken: about the hub's way from one of their instants to the next.
-_CONTACT_STEP, _STIFF_FLANK, _GRADUAL_CONTACT = 1 / 800, 1000.0, 0.15
+# stiffer ones.
+_CONTACT_STEP, _STIFF_FLANK = 1 / 800, 1000.0
 
 
 @dataclass(frozen=True)
@@ -374,8 +374,8 @@ class Backlash(JointEffect):
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
     # Typical flanks turn by a thousandth of what the link bends, and let a hub of 0.05 m l^2 rebound with a third of
     # its speed. Little as that is, taken for granted it would be an error of the gap of a per cent or two.
-    flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 100.0, upper=1e4, in_rig_units=True, simulated=True)
-    flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.02, upper=20.0, in_rig_units=True, simulated=True)
+    flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 100.0, upper=1e4, in_rig_units=True)
+    flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.02, upper=20.0, in_rig_units=True)
 
     on_drive = False
     nonsmooth = True
@@ -396,30 +396,29 @@ class Backlash(JointEffect):
         return self.with_link(chain, **flank, **_behind_gear(link, self.motor_share))
 
     def force(self, chain: Chain, payload: float) -> StateFunction | None:
-        """Return the torque that cancels the root joint's spring and damper inside the gap."""
-        link, root = self.link_of(chain), self.virtual_joints(chain).start - 1
+        """Return the torque that cancels the root joint's spring and damper: flanks that are in contact for good."""
+        link, root = self.link_of(chain), self._root(chain)
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping
+        return self.force_on(root, lambda time, q, v, z: stiffness * q[..., root] + damping * v[..., root])
 
-        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            twist, rate = q[..., root], v[..., root]
-            side = np.sign(twist)
-            depth, share = self._contact(np.abs(twist) - self.gap / 2)
-            push = np.maximum(stiffness * depth + damping * share * side * rate, 0.0)
-            return np.asarray(stiffness * twist + damping * rate - push * side)
-
-        return self.force_on(root, force)
+    def contact(self, chain: Chain) -> Contact | None:
+        """Return the gap at the root joint, with flanks as stiff as that."""
+        if self.is_null:
+            return None
+        link = self.link_of(chain)
+        return Contact(self._root(chain), self.gap, link.root_stiffness or 0.0, link.root_damping)
 
     def rest_angles(self, chain: Chain, q: Array) -> Array:
         """Return the angles with the hub between the flanks, on one of them at most."""
         if self.is_null:
             return q
-        root, rest = self.virtual_joints(chain).start - 1, q.copy()
+        root, rest = self._root(chain), q.copy()
         rest[..., root] = np.clip(q[..., root], -self.gap / 2, self.gap / 2)
         return rest
 
     def other_states(self, chain: Chain, state: Array) -> Array:
         """Return states (3, 2 nv) with the hub on either flank and between them, moving with the motor."""
-        root, n = self.virtual_joints(chain).start - 1, chain.size
+        root, n = self._root(chain), chain.size
         states = np.tile(state, (3, 1))
         states[:, root] = self.gap * np.array([-0.5, 0.0, 0.5])
         states[:, n + root] = 0.0
@@ -428,13 +427,8 @@ class Backlash(JointEffect):
         states[:, n + root - 1] += state[n + root]
         return states
 
-    def _contact(self, beyond: Array) -> tuple[Array, Array]:
-        """Depth to which a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
-        if not self.smooth:
-            return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
-        width = _GRADUAL_CONTACT * self.gap
-        share = np.clip((beyond / width + 1) / 2, 0.0, 1.0)
-        return np.where(beyond > width, beyond, width * share**2), share
+    def _root(self, chain: Chain) -> int:
+        return int(self.virtual_joints(chain).start) - 1
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that resolves an impact."""

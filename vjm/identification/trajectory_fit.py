@@ -38,9 +38,6 @@ from vjm.simulation.variational_equations import PerturbedArm
 from vjm.text import ratio
 
 DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly not found the minimum it looks for
-# By which a coordinate is changed whose derivative is from simulations, a quarter of a factor e: far more than what the
-# accidents of impacts make of a change. To less where it may be, as stiffer flanks would need shorter steps.
-_SECANT = -0.25
 # Decrease by a step of the coordinates, in units of the reduced chi^2, below which they have settled where the cost is
 # nonsmooth: a step of 0.3 standard errors, which adds 4 % to the error.
 _SETTLED_DECREASE = 0.1
@@ -61,7 +58,6 @@ class TrajectoryProblem(Record):
         effects: effects in the model, of any size. Their coordinates follow those of the chain: magnitudes in units of
             typical ones, then shape parameters: logarithms, or linear where they may be zero.
         reference_effects: number of effects, the first ones, that act in the reference recordings too.
-        simulated_held: True to hold the coordinates whose derivatives are from simulations.
     """
 
     parametrisation: Parametrisation
@@ -71,7 +67,6 @@ class TrajectoryProblem(Record):
     fixed: tuple[int, float, float] | None = None
     effects: tuple[Effect, ...] = ()
     reference_effects: int = 0
-    simulated_held: bool = False
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,), without effects."""
@@ -105,15 +100,7 @@ class TrajectoryProblem(Record):
         for effect, part in zip(self.effects, self.parts, strict=True):
             # A factor e of a shape parameter whose coordinate is a logarithm, a typical value of a linear one.
             steps[part.start + effect.magnitude_count : part.stop] = 1.0
-        if self.simulated_held:
-            steps[[*self.simulated_coordinates]] = 0.0
         return steps
-
-    @cached_property
-    def simulated_coordinates(self) -> tuple[int, ...]:
-        """Indices of the coordinates whose derivatives are from simulations."""
-        pairs = zip(self.effects, self.parts, strict=True)
-        return tuple(part.start + k for effect, part in pairs for k in effect.simulated_coordinates)
 
     @property
     def longest(self) -> float:
@@ -177,12 +164,11 @@ class TrajectoryProblem(Record):
         by_coordinate = []
         lower, upper = self.bounds
         for k, value in enumerate(x):
-            simulated = k in self.simulated_coordinates
-            step = _SECANT if simulated else 1e-6 * max(abs(value), 1e-2)
+            step = 1e-6 * max(abs(value), 1e-2)
             step = step if lower[k] <= value + step <= upper[k] else -step
             moved = x.copy()
-            moved[k] += 0.0 if simulated and self.simulated_held else step
-            by_coordinate.append([PerturbedArm(arm, step, simulated) for arm in self.arms(moved)])
+            moved[k] += step
+            by_coordinate.append([PerturbedArm(arm, step) for arm in self.arms(moved)])
         return tuple(zip(*by_coordinate, strict=True))
 
     def prior(self, x: Array) -> tuple[Array, Array]:

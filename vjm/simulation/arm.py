@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
+from vjm.effects.contact import Contact
 from vjm.effects.effect import Effect, StateFunction, is_nonsmooth
 from vjm.model.urdf import chain_to_urdf, simulator_file
 from vjm.records import Array, Indices, Recording
@@ -83,12 +84,19 @@ class Arm:
             q = effect.rest_angles(self.chain, q)
         return q
 
-    def forces(self, payload: float) -> StateFunction | None:
-        """Return the sum of the effects' generalised forces; None where there are none."""
+    @cached_property
+    def contacts(self) -> list[Contact]:
+        """Gaps of joints."""
+        return [contact for contact, _ in self._hooks(lambda effect: effect.contact(self.chain))]
+
+    def forces(self, payload: float, contacts: bool = True) -> StateFunction | None:
+        """Return the sum of the effects' generalised forces, with or without those of contacts; None without any."""
         forces = self._hooks(lambda effect: effect.force(self.chain, payload))
+        if contacts:
+            forces += self._hooks(lambda effect: _pushes(effect.contact(self.chain)))
         if not forces:
             return None
-        if len(self.effects) == 1:
+        if len(self.effects) == len(forces) == 1:
             return forces[0][0]
 
         def total(time: Array, q: Array, v: Array, z: Array) -> Array:
@@ -239,20 +247,10 @@ class Arm:
 
     @cached_property
     def smooth(self) -> Arm:
-        """The arm with what sticks or touches setting in gradually."""
-        return self._smoothed(lambda effect: True)
-
-    @cached_property
-    def smooth_in_contact(self) -> Arm:
-        """The arm with what touches setting in gradually, and dry friction as it is."""
-        return self._smoothed(lambda effect: effect.dry_friction(self.chain) is None)
-
-    def _smoothed(self, chosen: Callable[[Effect], bool]) -> Arm:
+        """The arm with what sticks doing so gradually."""
         if not is_nonsmooth(self.effects):
             return self
-        return Arm(
-            self.chain, tuple(replace(effect, smooth=True) if chosen(effect) else effect for effect in self.effects)
-        )
+        return Arm(self.chain, tuple(replace(effect, smooth=True) for effect in self.effects))
 
     @cached_property
     def _state_rates(self) -> list[tuple[StateFunction, slice]]:
@@ -267,6 +265,20 @@ class Arm:
         """Return the results of a hook, with the internal states of their effects; None is left out."""
         results = [(hook(effect), part) for effect, part in zip(self.effects, self._state_slices, strict=True)]
         return [(result, part) for result, part in results if result is not None]
+
+
+def _pushes(contact: Contact | None) -> StateFunction | None:
+    """Return the generalised forces of a gap's flanks."""
+    if contact is None:
+        return None
+    joint = contact.joint
+
+    def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+        torques = np.zeros(q.shape)
+        torques[..., joint] = contact.torque(q[..., joint], v[..., joint])
+        return torques
+
+    return force
 
 
 def _between(values: Array, interval: Indices, share: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -201,18 +201,15 @@ class Run:
         driven = arm.inputs(self.observed.recording)
         return locked_modes(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
 
-    def linearization(
-        self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Array] | None = None
-    ) -> Linearization:
+    def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
         # Where the arm sticks, it is known when: dry friction needs not be gradual.
         arm, *others = (
-            each.smooth_in_contact if self.arm.has_dry_friction else each.smooth
+            each if self.arm.has_dry_friction else each.smooth
             for each in (self.arm, *(perturbation.arm for perturbation in perturbed))
         )
         smooth = [perturbation._replace(arm=other) for perturbation, other in zip(perturbed, others, strict=True)]
-        trajectory = self.trajectory
-        return Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
+        return Linearization(self.observed, arm, self.basis, smooth, self.trajectory, self.stride)
 
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
@@ -269,7 +266,7 @@ class Run:
         """
         variance = self.arm.timing_variance
         by_parameters = [
-            (perturbed_arm.timing_variance - variance) / step for perturbed_arm, step, _ in linearization.perturbed
+            (perturbed_arm.timing_variance - variance) / step for perturbed_arm, step in linearization.perturbed
         ]
         columns = 2 * self.basis.slow_count + len(by_parameters)
         if not any(by_parameters):
@@ -372,26 +369,7 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
 
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
     """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
-    simulated = _simulate_perturbed(runs, perturbed)
-    triples = zip(runs, perturbed, simulated, strict=True)
-    yield from computed_together([run.linearization(arms, slopes) for run, arms, slopes in triples])
-
-
-def _simulate_perturbed(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> list[dict[int, Array]]:
-    """Return derivatives (N,) of runs' predictions by those perturbed arms that are to be simulated, by index."""
-    by_step: dict[float, list[tuple[int, int]]] = {}
-    for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True)):
-        for k, (arm, _, simulated) in enumerate(arms):
-            if simulated and arm.effects != run.arm.effects:  # else it is held, or absent from the recording
-                by_step.setdefault(round(float(np.log(run.trajectory.step)), 9), []).append((j, k))
-    slopes: list[dict[int, Array]] = [{} for _ in runs]
-    for pairs in by_step.values():
-        chosen, moved = [runs[j] for j, _ in pairs], [perturbed[j][k].arm for j, k in pairs]
-        observed, states = [run.observed for run in chosen], [run.state for run in chosen]
-        found = _trajectories(moved, observed, states, chosen[0].trajectory.step, 2.0)
-        for (j, k), arm, path in zip(pairs, moved, found, strict=True):
-            slopes[j][k] = (runs[j].observed.predicted(arm, path) - runs[j].predicted) / perturbed[j][k].step
-    return slopes
+    yield from computed_together([run.linearization(arms) for run, arms in zip(runs, perturbed, strict=True)])
 
 
 def linearize_by_states(runs: Sequence[Run]) -> None:

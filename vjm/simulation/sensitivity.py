@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from vjm.chain.virtual_links import have_equal_links
 from vjm.records import Array, Indices
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import DIFFERENCE_STEP, Observations
+from vjm.simulation.nonsmooth import Pieces
 from vjm.simulation.system import Trajectory
 from vjm.simulation.variational_equations import (
     Coefficients,
@@ -19,7 +21,6 @@ from vjm.simulation.variational_equations import (
     Motions,
     PerturbedArm,
     coefficients_along,
-    have_equal_links,
     propagators,
     with_added_joints,
 )
@@ -39,7 +40,6 @@ class Linearization:
         perturbed: p arms, each with one parameter changed.
         trajectory: the motion linearised about; its number of steps is a multiple of two strides.
         stride: integrator steps in half an interval.
-        simulated: (N,) derivatives of the predictions by those of the perturbed arms that were simulated, by index.
         known: what was computed together with other runs' linearizations; None: nothing.
     """
 
@@ -49,7 +49,6 @@ class Linearization:
     perturbed: Sequence[PerturbedArm]
     trajectory: Trajectory
     stride: int
-    simulated: Mapping[int, Array]
     known: _ComputedTogether | None = None
 
     @cached_property
@@ -85,8 +84,6 @@ class Linearization:
                 [flat[observed.marker_indices[markers] - camera.start * by_markers.shape[1]], by_angles]
             )
             measured = np.r_[markers, angles]
-            for k, column in self.simulated.items():
-                slopes[:, slopes.shape[1] - len(self.perturbed) + k] = column[measured]
             yield measured, observed.weights[measured, None] * slopes
             first = last
 
@@ -101,25 +98,38 @@ class Linearization:
         if nz:
             state[2 * size :] = self._initial_internal_states()
         rows, chunk_size = self.rows, self.max_chunk
-        if self.known or any(sum(arm.state_counts) > nz for arm, *_ in self.perturbed):
+        if self.known or any(sum(arm.state_counts) > nz for arm, _ in self.perturbed):
             chunk_size = rows.size  # internal states that only perturbed arms have are followed from the start
         for first in range(0, rows.size - 1, chunk_size):
             part = rows[first : first + chunk_size + 1]
-            coefficients = self.known.coefficients if self.known else self._coefficients_along(part)
-            friction = None if coefficients.friction is None else trajectory.friction
-            pieces = None if friction is None else friction.pieces(2 * part[::2])
-            flow, forced = propagators(coefficients, 2 * self.stride * trajectory.step, pieces)
-            states = np.empty((len(part) // 2 + 1, 2 * size + nz, count))
-            states[0] = state
-            ends = np.arange(1, len(states)) if pieces is None else pieces.interval + 1
-            for k, end in enumerate(ends.tolist()):
+            pieces = self.pieces(part)
+            coefficients = self.known.coefficients if self.known else self._coefficients_along(part, pieces)
+            edges = 2 * part[::2] if pieces is None else pieces.bounds
+            flow, forced = propagators(coefficients, trajectory.step / 2 * np.diff(edges), pieces)
+            jumps = {} if pieces is None else coefficients.jumps(pieces)
+            starts, ends = np.empty((2, len(flow), *state.shape))
+            for k in range(len(flow)):
+                if k in jumps:
+                    by_state, by_parameters = jumps[k]
+                    state = by_state @ state
+                    state[:, 2 * slow_count :] += by_parameters
+                starts[k] = state
                 state = flow[k] @ state
                 state[:, 2 * slow_count :] += forced[k]
-                states[end] = state  # of the last of its pieces
-            a = coefficients.accelerations(states, pieces)
+                ends[k] = state
+            if pieces is None:
+                time, states = trajectory.time[part[::2]], np.concatenate([starts, ends[-1:]])
+                a = coefficients.accelerations(states, slice(None, None, 2), None)
+            else:  # either side of each instant between pieces, at which derivatives may jump
+                time = np.repeat(trajectory.time[0] + trajectory.step / 2 * pieces.bounds, 2)[1:-1]
+                states = _alternating(starts, ends)
+                a = _alternating(
+                    coefficients.accelerations(starts, slice(0, -2, 2), pieces),
+                    coefficients.accelerations(ends, slice(2, None, 2), pieces),
+                )
             columns = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
             copies = (np.ascontiguousarray(np.swapaxes(column, 1, 2)) for column in columns)
-            yield Trajectory(trajectory.time[part[::2]], *copies)
+            yield Trajectory(time, *copies, evenly=pieces is None)
 
     @cached_property
     def rows(self) -> Indices:
@@ -132,8 +142,15 @@ class Linearization:
         size = int(2 * self.basis.shapes.shape[1] + self.trajectory.z.shape[1])
         return 2 * max(20, _MOST_COEFFICIENTS // size**2)
 
-    def _coefficients_along(self, rows: Indices) -> Coefficients:
-        return _coefficients_of([self], [rows], [self.trajectories])[0]
+    def pieces(self, rows: Indices) -> Pieces | None:
+        """Return the pieces of the intervals between rows; None where no joint sticks or touches."""
+        friction = self.trajectory.friction if self.arm.has_dry_friction else None
+        if friction is None and not self.arm.contacts:
+            return None
+        return Pieces.of(2 * rows[::2], friction, self.trajectory, self.arm.contacts)
+
+    def _coefficients_along(self, rows: Indices, pieces: Pieces | None) -> Coefficients:
+        return _coefficients_of([self], [rows], [pieces], [self.trajectories])[0]
 
     def _initial_internal_states(self) -> Array:
         """Return derivatives (nz, 2 slow + p) of the internal states at the start."""
@@ -149,7 +166,7 @@ class Linearization:
         by_rates = [np.zeros(z.size)] * slow_count
         by_parameters = [
             (observed.internal_states(arm, path.q[0])[: z.size] - z) / step
-            for (arm, step, _), path in zip(self.perturbed, self.trajectories, strict=True)
+            for (arm, step), path in zip(self.perturbed, self.trajectories, strict=True)
         ]
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
@@ -166,7 +183,7 @@ class Linearization:
         chain, sensors, exposed = self.arm.chain, self.arm.sensors, self.arm.exposure_effects
         poses: tuple[Array, Array] | None = None
         first = slopes.shape[2] - len(self.perturbed)
-        for k, (arm, step, _) in enumerate(self.perturbed, start=first):
+        for k, (arm, step) in enumerate(self.perturbed, start=first):
             # Markers are measured at the same places unless sensors, joints or curves differ.
             placed = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
             if placed and sensors == arm.sensors:
@@ -189,12 +206,12 @@ class Linearization:
         if not joints.size:
             return np.zeros((0, part.q.shape[1]))
         by_active = self.basis.shapes[active].T
-        theta = Trajectory(part.time, part.q @ by_active, part.v @ by_active, part.a @ by_active, part.z)
+        theta = replace(part, q=part.q @ by_active, v=part.v @ by_active, a=part.a @ by_active)
         all_slopes = theta.angles(observed.recording.time[instants])
         slopes: Array = np.take_along_axis(all_slopes, joints[:, None, None], axis=2)[:, :, 0]
         simulated = self.trajectory.angles(observed.recording.time)[:, active]
         first = slopes.shape[1] - len(self.perturbed)
-        for k, (arm, step, _) in enumerate(self.perturbed, start=first):
+        for k, (arm, step) in enumerate(self.perturbed, start=first):
             if arm.sensors != self.arm.sensors:
                 change = arm.encoder_angles(simulated) - self.arm.encoder_angles(simulated)
                 slopes[:, k] += change.ravel()[observed.angle_indices[rows]] / step
@@ -236,7 +253,8 @@ def _as_group(group: Sequence[Linearization]) -> Iterator[Linearization]:
         yield from group
         return
     trajectories = _trajectories_of(group)
-    coefficients = _coefficients_of(group, [member.rows for member in group], trajectories)
+    rows, pieces = [member.rows for member in group], [member.pieces(member.rows) for member in group]
+    coefficients = _coefficients_of(group, rows, pieces, trajectories)
     for member, paths, of_member in zip(group, trajectories, coefficients, strict=True):
         yield replace(member, known=_ComputedTogether(paths, of_member))
 
@@ -245,18 +263,25 @@ def _trajectories_of(group: Sequence[Linearization]) -> list[tuple[Trajectory, .
     """Return, for each linearization of the same arms, the motion for each of the perturbed ones."""
     chain, paths = group[0].arm.chain, [member.trajectory for member in group]
     observed = [member.observed for member in group]
-    by_arm = [with_added_joints(paths, chain, arm, observed) for arm, *_ in group[0].perturbed]
+    by_arm = [with_added_joints(paths, chain, arm, observed) for arm, _ in group[0].perturbed]
     return list(zip(*by_arm, strict=True)) if by_arm else [()] * len(group)
 
 
 def _coefficients_of(
-    group: Sequence[Linearization], rows: Sequence[Indices], trajectories: Sequence[tuple[Trajectory, ...]]
+    group: Sequence[Linearization],
+    rows: Sequence[Indices],
+    pieces: Sequence[Pieces | None],
+    trajectories: Sequence[tuple[Trajectory, ...]],
 ) -> list[Coefficients]:
-    """Return the coefficients of linearizations of the same arms, each at some rows of its trajectories."""
+    """Return the coefficients of linearizations of the same arms, each at rows of its trajectories or in pieces."""
     observed = [member.observed for member in group]
 
     def motions(paths: Sequence[Trajectory]) -> Motions:
-        return Motions.of([path.at(indices) for path, indices in zip(paths, rows, strict=True)], observed)
+        parts = zip(paths, rows, pieces, strict=True)
+        return Motions.of(
+            [path.at(indices) if cut is None else path.between(cut.instants / 2) for path, indices, cut in parts],
+            observed,
+        )
 
     motion = motions([member.trajectory for member in group])
     changed = zip(*trajectories, strict=True)
@@ -269,7 +294,14 @@ def _join_trajectories(before: Trajectory, after: Trajectory, overlap: float) ->
     """Prepend the last `overlap` seconds of a chunk to the next one."""
     if overlap <= 0:
         return after
-    overlapping = before.time < after.time[0] - 1e-12
-    overlapping &= before.time >= after.time[0] - overlap - 2 * after.step
+    overlapping = before.time >= after.time[0] - overlap - 2 * np.diff(after.time).max()
+    if after.evenly:
+        overlapping[-1] = False  # it is the first of the next one
     parts = zip((before.time, *before.motion), (after.time, *after.motion), strict=True)
-    return Trajectory(*(np.concatenate([earlier[overlapping], later]) for earlier, later in parts))
+    joined = (np.concatenate([earlier[overlapping], later]) for earlier, later in parts)
+    return Trajectory(*joined, evenly=after.evenly)
+
+
+def _alternating(first: Array, second: Array) -> Array:
+    """Return the rows of two arrays (K, ...), each of the first followed by that of the second (2 K, ...)."""
+    return np.stack([first, second], axis=1).reshape(-1, *first.shape[1:])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vjm.records import Array, Indices, Mask
+from vjm.records import Array, Indices
 
 
 class FrictionHistory(NamedTuple):
@@ -32,76 +32,6 @@ class FrictionHistory(NamedTuple):
     def of_copy(self, copy: int, steps: int) -> FrictionHistory:
         """Return the first steps of one of the copies."""
         return FrictionHistory(*(values[: 2 * steps, copy] for values in self))
-
-    def pieces(self, edges: Indices) -> Pieces:
-        """Cut intervals, of which the instants (K + 1,) between them are numbers of half steps, where joints change."""
-        begin = max(int(edges[0]) - 1, 0)  # with the half step before, in which a joint may have been held
-        history = FrictionHistory(*(values[begin : edges[-1]] for values in self))
-        before, after, stop, slipping, restarted, release = history
-        edges = edges - begin
-        holds = np.isfinite(stop) & (restarted == 0.0)
-        held_before = np.concatenate([np.zeros_like(holds[:1]), (holds & np.isinf(release))[:-1]])
-        stops, released = np.isfinite(stop) & ~held_before, held_before & ~holds
-        half, joint = np.nonzero((stops | released)[edges[0] :])
-        half += edges[0]
-        change = half + np.where(stops[half, joint], stop[half, joint], 0.0)
-        later = np.isfinite(release[edges[0] :])
-        releases = np.nonzero(later)[0] + edges[0] + release[edges[0] :][later]
-        bounds = np.unique(np.concatenate([edges, change, releases]))
-        middle = (bounds[:-1] + bounds[1:]) / 2
-        now, interval = middle.astype(int), np.searchsorted(edges, middle) - 1
-        passed = middle[:, None] - now[:, None]
-        changed = held_before[now] | (passed >= stop[now])
-        slipped, left = slipping[half, joint], restarted[half, joint]
-        kept = np.divide(left, slipped, out=np.zeros(half.size), where=slipped != 0.0)
-        lost = np.zeros(changed.shape)
-        lost[np.searchsorted(bounds, change), joint] = np.where(stops[half, joint], 1.0 - kept, 0.0)
-        lengths = edges[interval + 1] - edges[interval]
-        return Pieces(
-            interval,
-            (bounds[:-1] - edges[interval]) / lengths,
-            (bounds[1:] - edges[interval]) / lengths,
-            holds[now] & changed & (passed < release[now]),
-            np.sign(np.where(changed, after[now], before[now])),
-            lost,
-        )
-
-
-class Pieces(NamedTuple):
-    """P pieces of K intervals, in each of which an active joint is held, or slips in one direction.
-
-    Attributes:
-        interval: (P,) the interval that it is a piece of.
-        start, end: (P,) shares of the interval.
-        held: (P, n_a) true for joints that are held.
-        direction: (P, n_a) sign of the rate of the others.
-        lost: (P, n_a) share of a small change of the joint's rate that is lost at the piece's beginning: all of it
-            where the joint stops there, part of it where it turns round.
-    """
-
-    interval: Indices
-    start: Array
-    end: Array
-    held: Mask
-    direction: Array
-    lost: Array
-
-    @property
-    def at_edges(self) -> Indices:
-        """(K + 1,) pieces that begin at the intervals' edges; at the last one, the piece that ends there."""
-        return np.append(np.flatnonzero(self.start == 0.0), len(self.start) - 1)
-
-    def sampled(self, values: Array) -> tuple[Array, Array, Array]:
-        """Return values (P, ...) at each piece's beginning, middle and end, by parabolas through those of intervals.
-
-        Args:
-            values: (2 K + 1, ...) at the beginning, the middle and the end of each interval.
-        """
-        first, middle, last = (values[2 * self.interval + k] for k in range(3))
-        shares = (self.start, (self.start + self.end) / 2, self.end)
-        x = [share.reshape(-1, *(1,) * (values.ndim - 1)) for share in shares]
-        at = [(1 - s) * (1 - 2 * s) * first + 4 * s * (1 - s) * middle + s * (2 * s - 1) * last for s in x]
-        return at[0], at[1], at[2]
 
 
 def multiply(states: Array, matrices: Array, out: Array | None = None) -> Array:

@@ -270,11 +270,12 @@ class Trajectory:
     """Motion of one arm, or of C copies, at the integrator's own instants.
 
     Attributes:
-        time: (S + 1,) evenly spaced [s].
+        time: (S + 1,) [s].
         q, v, a: (S + 1, ..., nv) angles [rad], rates [rad/s] and accelerations [rad/s^2]; copies are in the middle.
         z: (S + 1, ..., nz) internal states of the effects.
         start: instant at which the recording began, from which effects count time [s]; None: the first.
         friction: what dry friction has done to the active joints; None without any.
+        evenly: False if instants are not evenly spaced; where two are the same, the motion jumps.
     """
 
     time: Array
@@ -285,6 +286,7 @@ class Trajectory:
     _: KW_ONLY
     start: float | None = None
     friction: FrictionHistory | None = None
+    evenly: bool = True
 
     @property
     def began(self) -> float:
@@ -315,6 +317,19 @@ class Trajectory:
         """Return the motion at some of its instants."""
         return Trajectory(*(values[rows] for values in (self.time, *self.motion)), start=self.began)
 
+    def between(self, steps: Array) -> Trajectory:
+        """Return the motion at instants (I,) that are fractional numbers of steps from the first.
+
+        Accelerations and internal states, which may have kinks and jumps, are linear within a step.
+        """
+        k = np.clip(steps.astype(int), 0, len(self.time) - 2)
+        q, v = self.sample(self.time[0] + self.step * steps)
+        a, z = (
+            values[k] + (steps - k).reshape(-1, *(1,) * (values.ndim - 1)) * (values[k + 1] - values[k])
+            for values in (self.a, self.z)
+        )
+        return Trajectory(self.time[0] + self.step * steps, q, v, a, z, start=self.began)
+
     def sample(self, time: Array) -> tuple[Array, Array]:
         """Return angles and rates (..., nv) [rad, rad/s] at instants (...) [s], by quintic Hermite interpolation.
 
@@ -328,10 +343,13 @@ class Trajectory:
 
     def _interpolated(self, time: Array, order: int = 0) -> Array:
         """Return the angles' derivative of an order (..., nv) at instants (...) [s]."""
-        h = self.step
-        k = np.clip(((time - self.time[0]) / h).astype(int), 0, len(self.time) - 2)
+        h: float | Array = self.step
+        before = (time - self.time[0]) / h if self.evenly else np.searchsorted(self.time, time, side="right") - 1
+        k = np.clip(before.astype(int), 0, len(self.time) - 2)
+        if not self.evenly:
+            h = self.time[k + 1] - self.time[k]
         weights = polyval((time - self.time[k]) / h, polyder(_QUINTIC_HERMITE, order)) / h**order
-        weights = weights.reshape(weights.shape + (1,) * (self.q.ndim - 1))
+        weights, h = (np.reshape(each, np.shape(each) + (1,) * (self.q.ndim - 1)) for each in (weights, h))
         total: Array = weights[0] * self.q[k]
         terms = (self.v, h, k), (self.a, h**2, k), (self.q, 1.0, k + 1), (self.v, h, k + 1), (self.a, h**2, k + 1)
         for weight, (values, unit, rows) in zip(weights[1:], terms, strict=True):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,15 +14,15 @@ from scipy import linalg
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from vjm.chain.virtual_links import Chain
+from vjm.chain.virtual_links import Chain, have_equal_links
 from vjm.effects.effect import is_nonsmooth
 from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
-from vjm.records import Array, Indices, Mask, Recording
+from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import flow_and_response, locked_joint_frequencies
 from vjm.simulation.measurement import DIFFERENCE_STEP, Observations
-from vjm.simulation.stick_slip import Pieces
+from vjm.simulation.nonsmooth import ContactCoefficients, DryFrictionCoefficients, Pieces
 from vjm.simulation.system import Trajectory, torque_at
 
 # Modes whose phase changes by less in an interval are slow [rad]; derivatives, which are interpolated inside it, are
@@ -85,14 +84,10 @@ class ModalBasis:
 
 
 class PerturbedArm(NamedTuple):
-    """The arm with one parameter changed by a step, in the parameter's unit: a small one, unless it is `simulated`.
-
-    Its motion is then simulated, not taken from the variational equations, which do not resolve what changes it.
-    """
+    """The arm with one parameter changed by a small step, in the parameter's unit."""
 
     arm: Arm
     step: float
-    simulated: bool = False
 
 
 class Motions(NamedTuple):
@@ -139,14 +134,14 @@ class Motions(NamedTuple):
 
 
 class _EquationsOfMotion:
-    """An arm's equations of motion along given motions of I instants."""
+    """An arm's equations of motion along given motions of I instants, without contacts and dry friction."""
 
     def __init__(self, arm: Arm, motions: Motions) -> None:
         self.arm = arm
         self.driven = [arm.inputs(observed.recording) for observed in motions.observed]
         self.gravity, payload = self.driven[0].gravity, self.driven[0].payload
         self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
-        self.force = arm.forces(payload)
+        self.force = arm.forces(payload, contacts=False)
 
     def inertial_torque(self, motion: Motions) -> Array:
         """Return M a + h (I, nv)."""
@@ -186,25 +181,11 @@ class _InertialForcing(NamedTuple):
         """Return the forcing at some of its instants."""
         return self._replace(inertia=self.inertia[part], q=self.q[part], v=self.v[part], a=self.a[part])
 
-    def sampled(self, pieces: Pieces | None) -> list[Self]:
-        """Return the forcing at the beginning, the middle and the end of pieces of intervals of three instants."""
-        fields = zip(*(_sampled(values, pieces) for values in (self.inertia, self.q, self.v, self.a)), strict=True)
-        return [type(self)(self.column, *values) for values in fields]
-
 
 def _carried(by: Array, first: _InertialForcing, later: _InertialForcing, elapsed: Array) -> Array:
     """Return modal coordinates and rates (P, 2 m) that accelerations of inertia (P, m, r) make in times (P,) [s]."""
     q = later.q - first.q - elapsed[:, None] * first.v
     return np.concatenate([_times(by, q), _times(by, later.v - first.v)], axis=1)
-
-
-def _sampled(values: Array, pieces: Pieces | None) -> tuple[Array, Array, Array]:
-    """Return values (I, ...) at the beginning, the middle and the end of intervals, or of pieces of these."""
-    return (values[:-2:2], values[1:-1:2], values[2::2]) if pieces is None else pieces.sampled(values)
-
-
-def _product(matrices: Array, values: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    return matrices @ values[0], matrices @ values[1], matrices @ values[2]
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
@@ -215,61 +196,81 @@ def _times(matrices: Array, vectors: Array) -> Array:
 class Coefficients(NamedTuple):
     """Coefficients of the variational equations along a motion of I instants.
 
-    They are derivatives of m modal accelerations and nz internal states' rates. Those by the parameters include neither
-    inertial forcing nor dry friction.
+    They are derivatives of m modal accelerations and nz internal states' rates, without dry friction and contacts.
+    Those by the parameters do not include inertial forcing, either.
     """
 
     by_state: Array  # (I, m + nz, 2 m + nz), by modal coordinates, rates and internal states
     by_parameters: Array  # (I, m + nz, p)
     inertial: tuple[_InertialForcing, ...]
     friction: DryFrictionCoefficients | None
+    contacts: tuple[ContactCoefficients, ...]
 
-    def accelerations(self, states: Array, pieces: Pieces | None) -> Array:
-        """Return the modal accelerations (K + 1, m, c) between intervals.
+    def accelerations(self, states: Array, instants: slice, pieces: Pieces | None) -> Array:
+        """Return the modal accelerations (R, m, c) at instants, one in each piece if there are pieces.
 
         Args:
-            states: (K + 1, 2 m + nz, c) derivatives of modal coordinates, rates and internal states by c unknowns, the
-                last p of which are the parameters.
-            pieces: of the intervals; None where no joint sticks.
+            states: (R, 2 m + nz, c) derivatives of modal coordinates, rates and internal states by c unknowns, the last
+                p of which are the parameters.
+            instants: R of those along the motion.
+            pieces: of the intervals; None where no joint sticks or touches.
         """
-        m = self.by_state.shape[2] - self.by_state.shape[1]
-        forced = self.by_parameters[::2, :m].copy()
+        by_state, by_parameters = self.at(instants, pieces)
+        forced = by_parameters[:, : self.modes]
         for forcing in self.inertial:
-            forced[:, :, forcing.column] -= _times(forcing.inertia[::2], forcing.a[::2])
-        total: Array = self.by_state[::2, :m] @ states
-        if self.friction is None or pieces is None:
-            total[:, :, total.shape[2] - forced.shape[2] :] += forced
-            return total
-        now = pieces.at_edges
-        forced += np.einsum("kj,kjmp->kmp", pieces.direction[now], self.friction.by_parameters[::2])
+            forced[:, :, forcing.column] -= _times(forcing.inertia[instants], forcing.a[instants])
+        total: Array = by_state[:, : self.modes] @ states
         total[:, :, total.shape[2] - forced.shape[2] :] += forced
-        return self.friction.at(slice(None, None, 2)).locked(pieces.held[now]) @ total
+        if self.friction is None or pieces is None:
+            return total
+        return self.friction.at(instants).locked(pieces.held) @ total
 
+    @property
+    def modes(self) -> int:
+        """Number of modal coordinates, m."""
+        return int(self.by_state.shape[2] - self.by_state.shape[1])
 
-class DryFrictionCoefficients(NamedTuple):
-    """Dry friction of n_a active joints in the variational equations, along a motion of I instants."""
+    def at(self, instants: slice, pieces: Pieces | None) -> tuple[Array, Array]:
+        """Return coefficients (R, ...) by state and parameters at instants, with what joints do in as many pieces.
 
-    rates: Array  # (n_a, m) the joints' rates by modal rates
-    response: Array  # (I, m, n_a) modal accelerations by torques on the joints
-    by_parameters: Array  # (I, n_a, m, p) modal accelerations by the parameters where the joint turns forwards
-
-    def at(self, instants: slice | Indices) -> Self:
-        """Return the coefficients at some of the instants."""
-        return self._replace(response=self.response[instants], by_parameters=self.by_parameters[instants])
-
-    def locked(self, held: Mask, share: Array | float = 1.0) -> Array:
-        """Return projections (P, m, m) of modal accelerations: what torques leave that hold joints (P, n_a).
-
-        Of rates, if impulses do so. A share (P, n_a) below one is what each of the joints loses of its acceleration.
+        Without what holds joints, which takes part of the sum.
         """
-        both = held[:, :, None] & held[:, None, :]
-        mobility = np.where(both, self.rates @ self.response, np.eye(held.shape[1]))
-        torques = np.linalg.solve(mobility, (held * share)[:, :, None] * self.rates)
-        return np.asarray(np.eye(self.rates.shape[1]) - self.response @ torques)
+        by_state, by_parameters, m = self.by_state[instants].copy(), self.by_parameters[instants].copy(), self.modes
+        if pieces is None:
+            return by_state, by_parameters
+        for k, contact in enumerate(self.contacts):
+            touching = pieces.side[:, k] != 0.0
+            by_state[:, :m, : 2 * m] += contact.at(instants).by_state(touching)
+            by_parameters[:, :m] += touching[:, None, None] * contact.by_parameters[instants]
+        if self.friction is not None:
+            by_parameters[:, :m] += np.einsum("kj,kjmp->kmp", pieces.direction, self.friction.by_parameters[instants])
+        return by_state, by_parameters
 
-    def stopped(self, held: Mask, lost: Array) -> Array:
-        """Return what becomes (P, m, m) of modal rates where joints lose shares (P, n_a) of a change of theirs."""
-        return self.locked(held | (lost > 0), np.where(held, 1.0, lost))
+    def jumps(self, pieces: Pieces) -> dict[int, tuple[Array, Array]]:
+        """Return by what matrices of state and parameters (2 m + nz, ...) derivatives jump at pieces' beginnings.
+
+        A small change of a joint's rate ends where it stops; where it turns round, the share of the acceleration that
+        friction had been adding is lost. Where a joint comes to a flank, the damper's push sets in at once.
+
+        Source: M. di Bernardo et al., Piecewise-smooth Dynamical Systems, Springer 2008, section 2.5 (saltation).
+        """
+        m, size, p = self.modes, self.by_state.shape[2], self.by_parameters.shape[2]
+        arrivals = [contact.at(slice(0, -2, 2)).arrival(pieces.met[:, k]) for k, contact in enumerate(self.contacts)]
+        stopped = None
+        if self.friction is not None:
+            stopped = self.friction.at(slice(0, -2, 2)).stopped(pieces.held, pieces.lost)
+        changed = np.flatnonzero((pieces.lost != 0.0).any(axis=1) | (pieces.met != 0.0).any(axis=1))
+        jumps = {}
+        for k in changed.tolist():
+            by_state, by_parameters = np.eye(size), np.zeros((size, p))
+            for of_angles, of_parameters in arrivals:
+                by_state[m : 2 * m, :m] += of_angles[k]
+                by_parameters[m : 2 * m] += of_parameters[k]
+            if stopped is not None:
+                by_state[m : 2 * m] = stopped[k] @ by_state[m : 2 * m]
+                by_parameters[m : 2 * m] = stopped[k] @ by_parameters[m : 2 * m]
+            jumps[k] = by_state, by_parameters
+        return jumps
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
@@ -331,14 +332,16 @@ def coefficients_along(
         accelerating = (values[:, joints] for values in (path.q, path.v, path.a))
         inertial_forcing.append(_InertialForcing(k, by_acceleration, *accelerating))
     friction = _dry_friction(arm, bases, perturbed, motion, others, modal)
+    contacts = _contacts(arm, bases, perturbed, motion, modal)
     return [
         Coefficients(
             lower[part, :, : 2 * m + nz],
             lower[part, :, 2 * m + nz :],
             tuple(term.during(part) for term in inertial_forcing),
             of_joints,
+            touching,
         )
-        for part, of_joints in zip(motion.parts, friction, strict=True)
+        for part, of_joints, touching in zip(motion.parts, friction, contacts, strict=True)
     ]
 
 
@@ -391,7 +394,7 @@ def _dry_friction(
     chain = arm.chain
     torques = arm.friction_torques(motion.v[:, chain.active])
     changes = np.zeros((*torques.shape, len(perturbed)))
-    for k, ((other_arm, step, _), varied) in enumerate(zip(perturbed, others, strict=True)):
+    for k, ((other_arm, step), varied) in enumerate(zip(perturbed, others, strict=True)):
         changes[:, :, k] = (other_arm.friction_torques(varied.v[:, other_arm.chain.active]) - torques) / step
     coefficients: list[DryFrictionCoefficients | None] = []
     for basis, part in zip(bases, motion.parts, strict=True):
@@ -402,6 +405,27 @@ def _dry_friction(
     return coefficients
 
 
+def _contacts(
+    arm: Arm, bases: Sequence[ModalBasis], perturbed: Sequence[PerturbedArm], motion: Motions, modal: Array
+) -> list[tuple[ContactCoefficients, ...]]:
+    """Return the contacts' coefficients along each motion, from modal mass matrices (I, m, m)."""
+    found: list[tuple[ContactCoefficients, ...]] = []
+    for basis, part in zip(bases, motion.parts, strict=True):
+        coefficients = []
+        for k, contact in enumerate(arm.contacts):
+            others = [moved.arm.contacts[k] for moved in perturbed]
+            q, v, turns = motion.q[part, contact.joint], motion.v[part, contact.joint], basis.shapes[contact.joint]
+            response = np.linalg.solve(modal[part], np.broadcast_to(turns, (q.size, turns.size))[:, :, None])[:, :, 0]
+            steps = np.array([moved.step for moved in perturbed])
+            changes = [other.resistance(q, v) - contact.resistance(q, v) for other in others]
+            pushes = np.stack(changes, axis=1) / steps if changes else np.zeros((q.size, 0))
+            gaps = np.array([other.gap - contact.gap for other in others]) / steps
+            by_parameters = -(np.sign(q)[:, None] * response)[:, :, None] * pushes[:, None, :]
+            coefficients.append(ContactCoefficients(contact, turns, response, by_parameters, gaps))
+        found.append(tuple(coefficients))
+    return found
+
+
 def _parameter_derivatives(
     equations: _EquationsOfMotion, perturbed: PerturbedArm, motion: Motions, nominal: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
@@ -410,7 +434,9 @@ def _parameter_derivatives(
     The motions are the perturbed arm's, with joints that only it has.
     """
     inertial, further_torque, state_rates = nominal
-    chain, (other_arm, step, _) = equations.arm.chain, perturbed
+    chain, (other_arm, step) = equations.arm.chain, perturbed
+    if other_arm.chain.armature != chain.armature:  # a heavier drive of as much more torque: their sum is rounded
+        other_arm = Arm(replace(other_arm.chain, armature=chain.armature), other_arm.effects)
     other_chain, nz = other_arm.chain, state_rates.shape[1]
     shared = np.delete(np.arange(other_chain.size), _added_joints(chain, other_chain))
     forces = motion.q[:, shared] * (other_chain.stiffness[shared] - chain.stiffness)
@@ -517,17 +543,8 @@ def _swing(push: Array, stiffness: float, damping: float, step: float) -> tuple[
     return np.r_[0.0, q], np.r_[0.0, v]
 
 
-@lru_cache(maxsize=1024)  # asked again for every recording and segment
-def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
-    """Return True if two chains have the same base, and links that are equal in some fields."""
-    if chain.base != other.base:
-        return False
-    links = list(zip(chain.links, other.links, strict=True))
-    return all(np.array_equal(getattr(left, field), getattr(right, field)) for left, right in links for field in fields)
-
-
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def propagators(coefficients: Coefficients, interval: float, pieces: Pieces | None = None) -> tuple[Array, Array]:
+def propagators(coefficients: Coefficients, durations: Array, pieces: Pieces | None = None) -> tuple[Array, Array]:
     """Return transition matrices (P, d, d) of intervals of three instants each, and the forcing's part (P, d, p).
 
     An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants. Inertial
@@ -535,35 +552,31 @@ def propagators(coefficients: Coefficients, interval: float, pieces: Pieces | No
     interval are therefore the arm's motion and what these accelerations make of it since its beginning, at the inertia
     in its middle: in the sum, only changes of that inertia remain beside the accelerations.
 
-    Where joints stick, intervals are in pieces. A joint that is held takes no part in the motion. A small change of its
-    rate ends where it stops; where it turns round, the share of the acceleration that friction had been adding is lost.
+    Where joints stick or touch, intervals are in pieces. A joint that is held takes no part in the motion; one that
+    touches has a further spring and damper.
 
     Args:
-        coefficients: along the intervals.
-        interval: duration of an interval [s].
-        pieces: of the intervals, P in all; None where no joint sticks: the intervals themselves.
-
-    Source: M. di Bernardo et al., Piecewise-smooth Dynamical Systems, Springer 2008, section 2.5 (saltation matrices).
+        coefficients: along the intervals, or their pieces.
+        durations: (P,) of the intervals, or their pieces [s].
+        pieces: of the intervals, P in all; None where no joint sticks or touches: the intervals themselves.
     """
-    states, forcings = _sampled(coefficients.by_state, pieces), _sampled(coefficients.by_parameters, pieces)
-    inertial = [term.sampled(pieces) for term in coefficients.inertial]
+    instants = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
+    sampled = [coefficients.at(each, pieces) for each in instants]
+    states, forcings = [by_state for by_state, _ in sampled], [by_parameters for _, by_parameters in sampled]
+    inertial = [[term.during(each) for each in instants] for term in coefficients.inertial]
     count, lower, size = states[0].shape
     upper = size - lower  # modal coordinates, whose rates of change are unknowns themselves
-    shares = np.ones(count)
-    friction = coefficients.friction
+    interval, friction = float(durations.max()), coefficients.friction
+    shares = durations / interval
     if friction is not None and pieces is not None:
-        shares = pieces.end - pieces.start
-        friction = friction.at(slice(1, None, 2)).at(pieces.interval)
+        friction = friction.at(instants[1])
         moving = np.zeros((count, lower, lower))
         moving[:] = np.eye(lower)
         moving[:, :upper, :upper] = friction.locked(pieces.held)
-        braked = np.einsum("kj,kjmp->kmp", pieces.direction, friction.by_parameters)
-        for values in forcings:
-            values[:, :upper] += braked
-        states, forcings = _product(moving, states), _product(moving, forcings)
+        states, forcings = [moving @ each for each in states], [moving @ each for each in forcings]
         by_joints = moving[:, :upper, :upper]
         inertial = [[term._replace(inertia=by_joints @ term.inertia) for term in terms] for terms in inertial]
-    elapsed = [share * interval * shares for share in (0.0, 0.5, 1.0)]
+    elapsed = [share * durations for share in (0.0, 0.5, 1.0)]
     L, F = np.zeros((3, count, size, size)), np.zeros((3, count, size, forcings[0].shape[2]))
     L[:, :, :upper, upper : 2 * upper] = np.eye(upper)
     for k in range(3):
@@ -579,6 +592,4 @@ def propagators(coefficients: Coefficients, interval: float, pieces: Pieces | No
     forced = interval * response
     for first, middle, last in inertial:
         forced[:, : 2 * upper, last.column] -= _carried(middle.inertia, first, last, elapsed[2])
-    if friction is not None and pieces is not None and pieces.lost.any():
-        flow[:, :, upper : 2 * upper] = flow[:, :, upper : 2 * upper] @ friction.stopped(pieces.held, pieces.lost)
     return flow, forced
