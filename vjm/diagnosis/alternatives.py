@@ -185,7 +185,8 @@ def _model_without(effect: Effect, result: SearchResult, search: Search) -> Traj
 def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return causes with their roles: main ones by the chi^2 that they explain, then minor ones by held-out gain."""
     largest = max((cause.decrease for cause in causes), default=0.0)
-    roles = [replace(cause, role="minor" if cause.decrease < VISIBLE_SHARE * largest else "main") for cause in causes]
+    least = min(VISIBLE_SHARE * largest, largest)  # none explains anything where the fit without it was cut short
+    roles = [replace(cause, role="minor" if cause.decrease < least else "main") for cause in causes]
     main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
     minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)
