@@ -248,6 +248,7 @@ def _null(effect: Effect, seed: int) -> _Checks:
         q, v = random.normal(size=(2, 5, chain.size))
         force, z = absent.force(chain, _PAYLOAD), random.normal(size=absent.initial_states(chain, q).shape)
         yield force is None or not np.any(force(np.arange(5.0), q, v, z)), "a force at the null", "none"
+        yield absent.contact(chain) is None, f"{absent.contact(chain)} at the null", "no contact"
         yield absent.timing_noise == 0, f"`timing_noise` is {absent.timing_noise} at the null", "zero"
         yield _same(absent.rest_angles(chain, q), q), "`rest_angles` changes angles at the null", "the same values"
 
@@ -287,7 +288,11 @@ def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
     """Require force, dry friction, rates of internal states, and rest, for states with several leading axes."""
     straight, smooth = np.zeros(chain.size), replace(present, smooth=True)
     count, reduced = present.initial_states(chain, straight).size, smooth.initial_states(chain, straight).size
-    rates, friction = present.state_rates(chain), present.dry_friction(chain)
+    rates, friction, contact = present.state_rates(chain), present.dry_friction(chain), present.contact(chain)
+    if contact is not None:
+        joints, sizes = range(chain.size), contact[1:]
+        yield contact.joint in joints, f"`contact` of coordinate {contact.joint}", f"one of the {chain.size} joints"
+        yield min(sizes) >= 0 and max(sizes) < np.inf, f"`contact` gives {contact}", "finite sizes, none negative"
     yield (rates is not None) == (count > 0), f"{count} states, `state_rates` {rates}", "rates where there are states"
     yield reduced == count, f"`smooth` makes it an effect with {reduced} states", f"{count}"
     yield smooth.dry_friction(chain) is None, "`smooth` leaves it dry friction", "a gradual `force` in its place"

@@ -33,7 +33,7 @@ class Contact(NamedTuple):
 
     def touches(self, twist: Array, rate: Array) -> Array:
         """Return where (...) the joint is pressed against a flank."""
-        return np.asarray((self.depth(twist) > 0.0) & (self.resistance(twist, rate) > 0.0))
+        return np.asarray(self.torque(twist, rate) != 0.0)
 
     def torque(self, twist: Array, rate: Array) -> Array:
         """Return the flanks' torque (...) on the joint [N m]."""

@@ -216,7 +216,7 @@ class Coefficients(NamedTuple):
             pieces: of the intervals; None where no joint sticks or touches.
         """
         by_state, by_parameters = self.at(instants, pieces)
-        forced = by_parameters[:, : self.modes]
+        forced = by_parameters[:, : self.modes].copy()
         for forcing in self.inertial:
             forced[:, :, forcing.column] -= _times(forcing.inertia[instants], forcing.a[instants])
         total: Array = by_state[:, : self.modes] @ states
@@ -235,9 +235,10 @@ class Coefficients(NamedTuple):
 
         Without what holds joints, which takes part of the sum.
         """
-        by_state, by_parameters, m = self.by_state[instants].copy(), self.by_parameters[instants].copy(), self.modes
+        by_state, by_parameters, m = self.by_state[instants], self.by_parameters[instants], self.modes
         if pieces is None:
             return by_state, by_parameters
+        by_state, by_parameters = by_state.copy(), by_parameters.copy()
         for k, contact in enumerate(self.contacts):
             touching = pieces.side[:, k] != 0.0
             by_state[:, :m, : 2 * m] += contact.at(instants).by_state(touching)
