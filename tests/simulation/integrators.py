@@ -49,10 +49,12 @@ def simulate(
     return sensor_readings(arm, MarkerArcs.of(rig), recording, trajectory)
 
 
-def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tuple[Trajectory, None]:
     """Classical fourth-order Runge-Kutta steps, the reference (section 6.4 of the paper takes 100 us)."""
     if system.has_dry_friction:
         raise ValueError("the reference has no dry friction: give it a gradual one")
+    contacts, copies = system.contacts, np.arange(len(q))[:, None]
+    stiffness, damping = system.springs(np.zeros(np.shape(contacts.joint), dtype=bool))
     step, count = drive.step, len(drive.start)
     time, half, accelerations = step * np.arange(count + 1.0), step / 2, system.accelerations
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
@@ -61,7 +63,9 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     torques[..., system.active] = active
 
     def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
-        force = torque - system.stiffness * q - system.damping * v
+        force = torque - stiffness * q - damping * v
+        joints = copies, contacts.joint
+        force[joints] += contacts.torque(q[joints], v[joints])
         if not system.has_further_forces:
             return accelerations(q, v, force), z
         further, rates = system.further_forces(np.full(len(q), time), q, v, z)
@@ -83,4 +87,4 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     last = np.zeros(q.shape)
     last[:, system.active] = drive.ends[-1]
     path.q[-1], path.v[-1], path.a[-1], path.z[-1] = q, v, slopes(time[-1], q, v, z, last)[0], z
-    return path
+    return path, None

@@ -285,12 +285,11 @@ def followed_events(arm: Arm, recording: Recording) -> Array:
     """Angles (T, nv) at the recording's instants from rest, by DOP853 from one contact's begin or end to the next."""
     chain, (contact,) = arm.chain, arm.contacts
     n, joint, driven = chain.size, contact.joint, arm.inputs(recording)
-    mechanism, force = mechanism_of(chain, recording.payload, recording.gravity), arm.forces(0.0, contacts=False)
-    assert force is not None
+    mechanism, (stiffness, damping) = mechanism_of(chain, recording.payload, recording.gravity), arm.springs
 
     def rates(t: float, state: Array, side: float) -> Array:
         q, v = state[None, :n], state[None, n:]
-        torque = force(np.array([t]), q, v, np.zeros((1, 0))) - chain.stiffness * q - chain.damping * v
+        torque = -stiffness * q - damping * v
         torque[:, chain.active] += np.interp(t, driven.time, driven.tau[:, 0])
         torque[:, joint] -= side * contact.resistance(q[:, joint], v[:, joint]) if side else 0.0
         return np.r_[state[n:], mechanism.forward_dynamics(q, v, torque)[0]]
@@ -315,27 +314,14 @@ def followed_events(arm: Arm, recording: Recording) -> Array:
     return np.concatenate(found)
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [
-        3,
-        *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 4, 5)),
-        pytest.param(
-            1,
-            marks=[
-                pytest.mark.slow,
-                pytest.mark.xfail(raises=AssertionError, reason="flank damping 2.3 times off: it leaves for half a ms"),
-            ],
-        ),
-    ],
-)
+@pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 2, 4, 5))])
 def test_derivatives_across_impacts_are_differences_of_motions_from_event_to_event(seed: int) -> None:
     chain, play = arm_of(steel_link(2, "revolute")), Backlash(link=0, gap=0.004, motor_share=0.4)
     recording = recording_of(chain, np.arange(16) / 100.0, jerky_torque(1, seed))
     observed, arm = seen_by(chain, recording), Arm.of(chain, (play,))
     prior = InitialStatePrior.of(arm, recording)
-    (run,) = simulate_runs([arm], [observed], [prior], [np.zeros(2 * arm.chain.size)], 0.2)
-    assert run.trajectory.angles(recording.time) == pytest.approx(followed_events(arm, recording), abs=1e-5)
+    (run,) = simulate_runs([arm], [observed], [prior], [np.zeros(2 * arm.chain.size)], 1.0)
+    assert run.trajectory.angles(recording.time) == pytest.approx(followed_events(arm, recording), abs=5e-6)
     pieces = run.linearization().pieces(run.linearization().rows)
     assert pieces is not None
     assert np.count_nonzero(pieces.met) > 0
@@ -350,12 +336,14 @@ def test_derivatives_across_impacts_are_differences_of_motions_from_event_to_eve
 
     moved = [PerturbedArm(changed_by(name, 1e-3 * size), 1e-3 * size) for name, size in changes.items()]
     found = of_one_stretch(run, moved)[:, -len(changes) :]
-    for (name, size), column in zip(changes.items(), found.T, strict=True):
-        ahead, behind = markers(changed_by(name, size)), markers(changed_by(name, -size))
-        expected = observed.weights * (ahead - behind) / (2 * size)
-        # What the flanks are like acts for a single piece of the motion, in which its forcing is a quadratic.
-        most = {"gap": 0.02, "motor_share": 0.05}.get(name, 0.25)
-        assert np.linalg.norm(column - expected) < most * np.linalg.norm(expected), name
+    expected = {
+        name: observed.weights * (markers(changed_by(name, size)) - markers(changed_by(name, -size))) / (2 * size)
+        for name, size in changes.items()
+    }
+    visible = play.gap * np.linalg.norm(expected["gap"])  # what the flanks are like may hardly show beside it
+    for (name, column), derivative in zip(expected.items(), found.T, strict=True):
+        shown, error = (getattr(play, name) * np.linalg.norm(each) for each in (column, derivative - column))
+        assert error < 0.03 * shown + 0.01 * visible, name
 
 
 def test_a_motor_that_moves_nothing_has_no_derivative() -> None:

@@ -198,17 +198,16 @@ def transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
 def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     """Continue a fit that was stopped early until it has converged, if that lowers chi^2.
 
-    Of one with joints that stick the discretization shift is then measured, by one step: a refit beside the difference
-    takes several times as long. After the deadline, as of `StoppingRule`, it ends where it stands.
+    Of one with joints that stick or touch the discretization shift is then measured, by one step: a refit beside the
+    difference takes several times as long. After the deadline, as of `StoppingRule`, it ends where it stands.
     """
-    point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
-    if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
-        return fit
-    fit = _better_from(point, fit, deadline)
+    sticking, nonsmooth = any(run.arm.has_dry_friction for run in fit.point.runs), is_nonsmooth(fit.effects)
+    if sticking or not (fit.converged or nonsmooth):
+        fit = _better_from(fit.point, fit, deadline)
     if sticking and monotonic() <= deadline:
         beyond = _multistart(fit.point, only_at_kinks=True, deadline=deadline)
         fit = _better_from(replace(fit.point, runs=beyond), fit, deadline)
-    bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
+    bias = first_order_bias(fit.point, rig) if nonsmooth and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
 
 

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from vjm.records import Array
+from vjm.records import Array, Indices
 
 
 class Contact(NamedTuple):
     """Flanks to either side of a gap in which a joint turns freely; they push and never pull.
 
-    Attributes:
+    Attributes, of one contact or arrays of several:
         joint: its coordinate.
         gap: whole width [rad].
         stiffness, damping: of either flank [N m/rad, N m s/rad].
     """
 
-    joint: int
-    gap: float
-    stiffness: float
-    damping: float
+    joint: int | Indices
+    gap: float | Array
+    stiffness: float | Array
+    damping: float | Array
+
+    def at(self, places: Any) -> Self:
+        """Return some of several, by an index of their arrays."""
+        joint, gap, stiffness, damping = (np.asarray(values)[places] for values in self)
+        return self._replace(joint=joint, gap=gap, stiffness=stiffness, damping=damping)
 
     def depth(self, twist: Array) -> Array:
         """Return how far a flank is pressed in (...) [rad] at angles (...) [rad]; negative between the flanks."""
@@ -31,11 +36,11 @@ class Contact(NamedTuple):
         """Return k d + c d' (...) [N m] at angles (...) [rad] and rates (...) [rad/s]: the push where it touches."""
         return np.asarray(self.stiffness * self.depth(twist) + self.damping * np.sign(twist) * rate)
 
-    def touches(self, twist: Array, rate: Array) -> Array:
-        """Return where (...) the joint is pressed against a flank."""
-        return np.asarray(self.torque(twist, rate) != 0.0)
+    def condition(self, twist: Array, rate: Array) -> Array:
+        """Return the smaller of depth and resistance (...): positive where a flank touches."""
+        return np.asarray(np.minimum(self.depth(twist), self.resistance(twist, rate)))
 
     def torque(self, twist: Array, rate: Array) -> Array:
         """Return the flanks' torque (...) on the joint [N m]."""
-        push = np.where(self.depth(twist) > 0.0, np.maximum(self.resistance(twist, rate), 0.0), 0.0)
+        push = np.where(self.condition(twist, rate) > 0.0, self.resistance(twist, rate), 0.0)
         return np.asarray(-np.sign(twist) * push)

@@ -381,7 +381,7 @@ class Effect:
         return None
 
     def contact(self, chain: Chain) -> Contact | None:
-        """Return the gap of a joint and the flanks that push in addition to `force`; None without any."""
+        """Return the gap of a joint, whose flanks are among the springs and dampers of `chain`; None without any."""
         return None
 
     def camera_instants(self, time: Array, positions: Array) -> Array:

@@ -185,12 +185,6 @@ class TorqueOffset(ColumnEffect):
         return replace(recording, tau=self.with_column(recording.tau, offset=self.offset))
 
 
-# Of a backlash, in the link's own units: the time step in T, a ninth of the period of a light hub of 0.012 m l^2 on
-# flanks of a thousand EI / l, which are no part of the chain's linear springs while the gap is open, and shorter on
-# stiffer ones.
-_CONTACT_STEP, _STIFF_FLANK = 1 / 800, 1000.0
-
-
 @dataclass(frozen=True)
 class ClampCompliance(LinkEffect):
     """A clamp in which the link's root turns, on a spring with a damper beside it.
@@ -388,18 +382,12 @@ class Backlash(JointEffect):
     distinguishing_experiment = "a marker on the hub, and slow motion with reversals"
 
     def chain(self, chain: Chain) -> Chain:
-        """Return the chain with the stiff flanks in contact for good; `force` makes the gap."""
+        """Return the chain with the stiff flanks in contact for good; `contact` makes the gap."""
         if self.is_null:
             return chain
         link = self.link_of(chain)
         flank = _in_series(link, self.flank_stiffness, self.flank_damping)
         return self.with_link(chain, **flank, **_behind_gear(link, self.motor_share))
-
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
-        """Return the torque that cancels the root joint's spring and damper: flanks that are in contact for good."""
-        link, root = self.link_of(chain), self._root(chain)
-        stiffness, damping = link.root_stiffness or 0.0, link.root_damping
-        return self.force_on(root, lambda time, q, v, z: stiffness * q[..., root] + damping * v[..., root])
 
     def contact(self, chain: Chain) -> Contact | None:
         """Return the gap at the root joint, with flanks as stiff as that."""
@@ -429,12 +417,6 @@ class Backlash(JointEffect):
 
     def _root(self, chain: Chain) -> int:
         return int(self.virtual_joints(chain).start) - 1
-
-    def max_step(self, chain: Chain) -> float:
-        """Return the time step [s] that resolves an impact."""
-        length, mass, time = self.units(chain)
-        stiffness = max(self.flank_stiffness / (mass * length**2 / time**2) / _STIFF_FLANK, 1.0)
-        return float(time * _CONTACT_STEP / np.sqrt(stiffness))
 
 
 def _in_series(link: LinkChain, stiffness: float, damping: float) -> dict[str, float]:

@@ -86,14 +86,32 @@ class Arm:
 
     @cached_property
     def contacts(self) -> list[Contact]:
-        """Gaps of joints."""
+        """Gaps of joints, whose flanks are among the chain's springs and dampers."""
         return [contact for contact, _ in self._hooks(lambda effect: effect.contact(self.chain))]
 
-    def forces(self, payload: float, contacts: bool = True) -> StateFunction | None:
-        """Return the sum of the effects' generalised forces, with or without those of contacts; None without any."""
+    @cached_property
+    def springs(self) -> tuple[Array, Array]:
+        """Stiffness [N m/rad] and damping [N m s/rad] of the joints (nv,) where none touches a flank of its gap.
+
+        The chain has the flanks, too, as if joints were in contact for good.
+        """
+        stiffness, damping = self.chain.stiffness.copy(), self.chain.damping.copy()
+        for contact in self.contacts:
+            stiffness[contact.joint] -= contact.stiffness
+            damping[contact.joint] -= contact.damping
+        return stiffness, damping
+
+    def joint_torques(self, q: Array, v: Array) -> Array:
+        """Return torques (..., nv) of springs, dampers and gaps' flanks at angles [rad] and rates [rad/s] (..., nv)."""
+        stiffness, damping = self.springs
+        torques = np.asarray(-stiffness * q - damping * v)
+        for contact in self.contacts:
+            torques[..., contact.joint] += contact.torque(q[..., contact.joint], v[..., contact.joint])
+        return torques
+
+    def forces(self, payload: float) -> StateFunction | None:
+        """Return the sum of the effects' generalised forces; None without any."""
         forces = self._hooks(lambda effect: effect.force(self.chain, payload))
-        if contacts:
-            forces += self._hooks(lambda effect: _pushes(effect.contact(self.chain)))
         if not forces:
             return None
         if len(self.effects) == len(forces) == 1:
@@ -265,20 +283,6 @@ class Arm:
         """Return the results of a hook, with the internal states of their effects; None is left out."""
         results = [(hook(effect), part) for effect, part in zip(self.effects, self._state_slices, strict=True)]
         return [(result, part) for result, part in results if result is not None]
-
-
-def _pushes(contact: Contact | None) -> StateFunction | None:
-    """Return the generalised forces of a gap's flanks."""
-    if contact is None:
-        return None
-    joint = contact.joint
-
-    def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-        torques = np.zeros(q.shape)
-        torques[..., joint] = contact.torque(q[..., joint], v[..., joint])
-        return torques
-
-    return force
 
 
 def _between(values: Array, interval: Indices, share: Array) -> Array:

@@ -16,8 +16,9 @@ import numpy as np
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.model.modes import locked_modes
-from vjm.records import Array, Indices, Recording
+from vjm.records import Array, Indices, Mask, Recording
 from vjm.simulation.arm import Arm
+from vjm.simulation.impacts import PATH_SHARES, ContactSteps
 from vjm.simulation.stick_slip import FrictionWeights, StickSlip, multiply
 from vjm.simulation.system import Drive, System, Trajectory, as_slice
 
@@ -85,12 +86,13 @@ def simulate_trajectories(
         angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
         states = np.stack([arms[k].initial_states(np.asarray(q[k])) if z is None else z[k] for k in group])
         with np.errstate(all="ignore"):  # divergence is noticed, and raised
-            batch = _integrate(system, angles, rates, states, drive)
+            batch, contacts = _integrate(system, angles, rates, states, drive)
         for copy, (k, count) in enumerate(zip(group, counts, strict=True)):
             motion = (values[: count + 1, copy] for values in batch.motion)
             friction = None if batch.friction is None else batch.friction.of_copy(copy, count)
             time = driven[k].time[0] + batch.time[: count + 1]
-            trajectories[k] = Trajectory(time, *motion, start=starts[k], friction=friction)
+            impacts = None if contacts is None else contacts.impacts(copy, count, float(time[0]))
+            trajectories[k] = Trajectory(time, *motion, start=starts[k], friction=friction, impacts=impacts)
     return [trajectories[k] for k in range(len(arms))]
 
 
@@ -175,7 +177,7 @@ def _step_count(chain: Chain, recording: Recording, step: float) -> int:
     return multiple * -(-count // multiple)
 
 
-def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tuple[Trajectory, ContactSteps | None]:
     """Return the copies' trajectory from time zero by exponential Runge-Kutta steps of stiff order 4 in 5 stages.
 
     The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
@@ -188,22 +190,22 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     SIAM Journal on Numerical Analysis 43 (2005), eq. (5.19).
     """
     n, count, step, elapsed = q.shape[1], len(drive.start), drive.step, drive.first - drive.began
-    propagator = _LinearPropagator(system, step)
     path = Trajectory(step * np.arange(count + 1.0), *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
     # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
     missing = drive.ends[:-1] - drive.start
-    start = _of_all_joints(system, np.concatenate([drive.start, drive.ends[-1:]]))
-    middle, end = (_of_all_joints(system, active) for active in (drive.middle, drive.end))
+    start, middle, end = torques = _of_all_joints(system, drive)
+    contacts = ContactSteps(system, (q, v), torques, elapsed, step) if system.has_contacts else None
+    joints, sticks = as_slice(system.active), system.has_dry_friction
+    friction = StickSlip(system.friction_torques, torques, joints, step) if sticks else None
+    propagator = _LinearPropagator(system, step, None if contacts is None else contacts.touching)
+    of_flanks = 0.0 if contacts is None else contacts.torque  # changed in place
     has_further_forces, internal = system.has_further_forces, z.size > 0
     # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
-    friction = None
-    if system.has_dry_friction:
-        friction = StickSlip(system.friction_torques, (start, middle, end), as_slice(system.active), step)
 
     # The next stage's torques, the state at the step's start and the accelerations of the stages so far: of these, the
     # next stage is one product. For few copies most of the time is Python's and NumPy's, so that arrays are made once.
-    y = np.concatenate([start[0], q, v, np.empty((len(q), 5 * n))], axis=1)
+    y = np.concatenate([start[0] + of_flanks, q, v, np.empty((len(q), 5 * n))], axis=1)
     applied, x, a = y[:, :n], y[:, n : 3 * n], [y[:, k * n : (k + 1) * n] for k in range(3, 8)]
     known = [y[:, : k * n] for k in range(3, 9)]
     stage = multiply(known[0], propagator.at(x).first)
@@ -219,20 +221,18 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         return rates
 
     def advance(number: int, weights: _Weights, torque: Array) -> None:
-        applied[:] = torque
+        np.add(torque, of_flanks, out=applied)
         multiply(known[number - 1], weights[number - 1], stage)
 
     def record(k: int, a: Array, z: Array) -> None:
-        path.q[k], path.v[k], path.a[k] = q, v, a
-        if internal:
-            path.z[k] = z
+        path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
         if k % unchecked == 0 or k == count:
             _require_finite(path.q, range(max(k - unchecked, 0), k + 1), drive)
 
     for k in range(count):
         weights = propagator.at(x)
         z1 = accelerate_at(1, k, z)
-        at_once = missing[k]
+        at_once, further = missing[k], None
         if friction is not None:
             further, missing_friction = friction.over_step(k, known[1], weights.friction)
             a[0] += multiply(further, weights.response)
@@ -247,11 +247,14 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         advance(5, weights, middle[k])
         z5 = accelerate_at(5, k + 0.5, z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z)
         advance(6, weights, start[k + 1])  # the first stage of the next step
-        x[:] = at_stage
-        z = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
+        z_end = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
+        if contacts is not None and contacts.advance(k, known[1], weights.paths, further, at_stage, (z, z_end)):
+            x[:], applied[:] = at_stage, start[k + 1] + of_flanks
+            multiply(known[0], propagator.at(x).first, stage)
+        x[:], z = at_stage, z_end
     accelerate_at(1, count, z)
     record(count, a[0], z)
-    return path if friction is None else replace(path, friction=friction.history)
+    return path if friction is None else replace(path, friction=friction.history), contacts
 
 
 def _require_finite(q: Array, steps: range, drive: Drive) -> None:
@@ -264,11 +267,13 @@ def _require_finite(q: Array, steps: range, drive: Drive) -> None:
         raise SimulationDivergedError(first + drive.step * max(steps[row] - 1, 0), drive.step, remedy)
 
 
-def _of_all_joints(system: System, active: Array) -> Array:
-    """Return torques of all joints (S, C, nv) from those of the active ones (S, C, n_a)."""
-    torques = np.zeros((len(active), *system.stiffness.shape))
-    torques[:, :, system.active] = active
-    return torques
+def _of_all_joints(system: System, drive: Drive) -> tuple[Array, Array, Array]:
+    """Return torques on all joints at the steps' starts and the last one's end (S + 1, C, nv), middles and ends."""
+    parts = np.concatenate([drive.start, drive.ends[-1:]]), drive.middle, drive.end
+    start, middle, end = (np.zeros((len(active), *system.stiffness.shape)) for active in parts)
+    for torques, active in zip((start, middle, end), parts, strict=True):
+        torques[:, :, system.active] = active
+    return start, middle, end
 
 
 class _Weights(NamedTuple):
@@ -277,7 +282,7 @@ class _Weights(NamedTuple):
     `first` to `fifth` take the torques at a stage, the state at the step's start and the accelerations of the stages so
     far, side by side, to the state at the stage and these torques with those of springs and dampers; `end` does so for
     the end of the step. `response` takes active torques (n_a,) to accelerations (nv,), the further ones are
-    `FrictionWeights`. One copy stands for all where they are equal.
+    `FrictionWeights` and those of `ContactSteps`. One copy stands for all where they are equal.
     """
 
     first: Array
@@ -292,6 +297,7 @@ class _Weights(NamedTuple):
     by_torque: Array
     mobility: Array
     later: Array
+    paths: Array
 
     @property
     def friction(self) -> FrictionWeights:
@@ -300,11 +306,12 @@ class _Weights(NamedTuple):
 
 
 class _LinearPropagator:
-    """Matrices of the steps at the copies' elbow angles, each computed once."""
+    """Matrices of the steps at the copies' elbow angles and contacts, each computed once."""
 
-    def __init__(self, system: System, step: float) -> None:
-        self.system = system
-        self.step = step
+    def __init__(self, system: System, step: float, touching: Mask | None) -> None:
+        """Begin with joints (C, n_c) in contact, if there are gaps; the array is looked at again for each step."""
+        self.system, self.step = system, step
+        self.touching = np.zeros((len(system.arms), 0), dtype=bool) if touching is None else touching
         self.elbows = system.active[system.active > 0]  # joints further out that bend the arm, or beyond a moving base
         joints = max(link.virtual_joints for arm in system.arms for link in arm.chain.links)
         self.grid = _ELBOW_GRID / max(joints / _FEW_JOINTS, 1.0) ** 2  # between angles of an elbow [rad]
@@ -313,14 +320,14 @@ class _LinearPropagator:
         self.current: tuple[bytes, _Weights] | None = None
         all_copies = np.arange(len(system.arms))
         straight = self._inertia(np.zeros((all_copies.size, self.elbows.size)), all_copies)
-        parts = (straight, system.stiffness, system.damping)
+        parts = (straight, system.stiffness, system.damping, *map(np.asarray, system.contacts))
         self.equal = all((part == part[0]).all() for part in parts)
 
     def at(self, x: Array) -> _Weights:
         """Return those at angles x (C, >= nv)."""
-        if self.current is not None and not self.elbows.size:
+        if self.current is not None and not (self.elbows.size or self.touching.size):
             return self.current[1]
-        places = np.round(x[:, self.elbows] / self.grid)
+        places = np.concatenate([np.round(x[:, self.elbows] / self.grid), self.touching], axis=1)
         if self.current is None or self.current[0] != places.tobytes():
             self.current = places.tobytes(), self._gathered(places)
         return self.current[1]
@@ -330,7 +337,9 @@ class _LinearPropagator:
         missing = {key: copy for copy, key in enumerate(keys) if key not in self.known}
         if missing:
             copies = np.array([*missing.values()])
-            computed = self._weights(self._inertia(places[copies], copies), copies)
+            stiffness, damping = self.system.springs(self.touching)
+            inertia = self._inertia(places[copies, : self.elbows.size], copies)
+            computed = self._weights(inertia, stiffness[copies], damping[copies])
             self.known |= {key: _Weights(*parts) for key, *parts in zip(missing, *computed, strict=True)}
         if len(set(keys)) == 1:
             return _Weights(*(part[None] for part in self.known[keys[0]]))
@@ -356,18 +365,17 @@ class _LinearPropagator:
                 inertia[selected] = mechanism.mass_matrix(q[selected])
         return inertia
 
-    def _weights(self, inertia: Array, copies: Indices) -> _Weights:
-        """Return the matrices of some copies, from their mass matrices (c, nv, nv)."""
+    def _weights(self, inertia: Array, stiffness: Array, damping: Array) -> _Weights:
+        """Return the matrices of copies, from mass matrices (c, nv, nv) and springs (c, nv)."""
         n, step = inertia.shape[1], self.step
         try:
             inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
         except np.linalg.LinAlgError as error:
             remedy = "a joint moves nothing: give its hub or its links mass"
             raise SimulationDivergedError(0.0, step, remedy) from error
-        springs = np.zeros((len(copies), n, 2 * n))
-        springs[:, range(n), range(n)] = -self.system.stiffness[copies]
-        springs[:, range(n), range(n, 2 * n)] = -self.system.damping[copies]
-        L = np.zeros((len(copies), 2 * n, 2 * n))
+        springs = np.zeros((len(inertia), n, 2 * n))
+        springs[:, range(n), range(n)], springs[:, range(n), range(n, 2 * n)] = -stiffness, -damping
+        L = np.zeros((len(inertia), 2 * n, 2 * n))
         L[:, :n, n:] = np.eye(n)
         L[:, n:] = rate = inverse @ springs
         half_flow, *half = phi_functions(L, step / 2, n)
@@ -383,14 +391,15 @@ class _LinearPropagator:
             (half_flow, half1 / 2 - 2 * late - last, late, late, last),
             (flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3),
         )
-        applied = np.zeros((len(copies), 3 * n, n))  # torques are added to those of springs and dampers
+        applied = np.zeros((len(inertia), 3 * n, n))  # torques are added to those of springs and dampers
         applied[:, 2 * n :] = np.eye(n)
         with_springs = (np.concatenate([stage, springs @ stage], axis=1) for stage in stages)
         weights = [np.concatenate([applied, stage], axis=2) for stage in with_springs]
         response = inverse[:, :, self.system.active]
         halves, wholes = (half_flow, half1, half2, half3), (flow, phi1, phi2, phi3)
         friction = _friction_weights(step, rate, response, self.system.active, halves, wholes)
-        return _Weights._make(_transposed(part) for part in (*weights, response, *friction))
+        paths = _paths_by_motion(L, step) if self.system.has_contacts else np.zeros((len(L), 0, 4 * n))
+        return _Weights._make(_transposed(part) for part in (*weights, response, *friction, paths))
 
 
 def _friction_weights(
@@ -432,6 +441,25 @@ def _friction_weights(
         mean(pushed),
         mean(half_flow @ pushed - pushed),
     ]
+
+
+def _paths_by_motion(L: Array, step: float) -> Array:
+    """Return matrices (C, 3 n s, 4 n) to angles, rates and accelerations at s shares of a step [s], side by side.
+
+    They are by torques, angles, rates and accelerations at its start; what remains beside the linear part L (C, 2 n,
+    2 n) stays as it is there.
+    """
+    copies, n, count = len(L), L.shape[1] // 2, PATH_SHARES.size
+    rate, identity = L[:, n:], np.eye(n)
+    flow, phi1, *_ = phi_functions((L * PATH_SHARES[:, None, None, None]).reshape(-1, 2 * n, 2 * n), step, n)
+    by_acceleration = step * np.repeat(PATH_SHARES, copies)[:, None, None] * phi1[:, :, n:]
+    rates = np.tile(rate, (count, 1, 1))
+    states = np.concatenate([flow - by_acceleration @ rates, by_acceleration], axis=2)
+    remainder = np.concatenate([-rates, np.broadcast_to(identity, (len(rates), n, n))], axis=2)
+    moved = np.concatenate([states, rates @ states + remainder], axis=1).reshape(count, copies, 3 * n, 3 * n)
+    paths = np.zeros((copies, count, 3 * n, 4 * n))
+    paths[:, :, :, n:] = moved.swapaxes(0, 1)
+    return paths.reshape(copies, -1, 4 * n)
 
 
 def _by_accelerations(rate: Array, *stages: tuple[Array, ...]) -> list[Array]:

@@ -12,7 +12,8 @@ from vjm.records import Array, Indices, Mask
 from vjm.simulation.stick_slip import FrictionHistory
 from vjm.simulation.system import Trajectory
 
-_SAMPLES = 8  # of a step in which a contact begins or ends; its instant is then off by a hundredth of the step
+# Steps of `Impacts.path` in a piece: 0.9 rad of a contact's vibration, of which the forcing is close to a quadratic.
+_STEPS_IN_PIECE = 3
 
 
 class Pieces(NamedTuple):
@@ -59,15 +60,24 @@ class Pieces(NamedTuple):
             contacts: n_c gaps of joints.
         """
         slips = None if history is None else _Slips.of(history, edges)
-        touches = [] if path is None else [_Touches.of(path, contact, edges) for contact in contacts]
+        touches = [] if path is None else [_Touches.of(path, each, k, edges) for k, each in enumerate(contacts)]
         events = [each.instants for each in touches] + ([] if slips is None else [slips.instants])
         bounds = np.unique(np.concatenate([edges, *events]))
+        if path is not None and path.impacts is not None:
+            bounds = _cut(bounds, 2 * (path.impacts.path.time[::_STEPS_IN_PIECE] - path.time[0]) / path.step)
         middle = (bounds[:-1] + bounds[1:]) / 2
         none = np.zeros((middle.size, 0))
         held, direction, lost = (none.astype(bool), none, none) if slips is None else slips.during(bounds, middle)
         sides = [each.during(bounds, middle) for each in touches]
         side, met = (np.stack(part, axis=1) for part in zip(*sides, strict=True)) if sides else (none, none)
         return cls(bounds, held, direction, lost, side, met)
+
+
+def _cut(bounds: Array, instants: Array) -> Array:
+    """Return bounds with further instants between them, in half steps, without those that are nearly the same."""
+    after = np.clip(np.searchsorted(bounds, instants), 1, bounds.size - 1)
+    apart = np.minimum(instants - bounds[after - 1], bounds[after] - instants) > 1e-3
+    return np.unique(np.concatenate([bounds, instants[apart]]))
 
 
 class _Slips(NamedTuple):
@@ -119,45 +129,29 @@ class _Touches(NamedTuple):
 
     path: Trajectory
     contact: Contact
+    touching: bool  # before the first of them
     instants: Array  # (E,)
     met: Mask  # (E,) true where it comes to a flank
 
     @classmethod
-    def of(cls, path: Trajectory, contact: Contact, edges: Indices) -> Self:
-        first, last = int(edges[0]) // 2, int(edges[-1]) // 2
-        q, v = (values[first : last + 1, contact.joint] for values in (path.q, path.v))
-        touches = contact.touches(q, v)
-        step = np.flatnonzero(touches[1:] != touches[:-1])
-        shares = np.linspace(0.0, 1.0, _SAMPLES + 1)
-        within = path.sample(path.time[0] + path.step * (first + step[:, None] + shares))
-        q, v = (values[..., contact.joint] for values in within)
-        depth, resistance = contact.depth(q), contact.resistance(q, v)
-        begins = np.asarray(touches[step + 1], dtype=bool)
-        # Contact is where both are positive: it begins with the later of the two, and ends with the earlier one.
-        by_depth, by_resistance = (_sign_change(values, shares, begins) for values in (depth, resistance))
-        share = np.where(begins, np.fmax(by_depth, by_resistance), np.fmin(by_depth, by_resistance))
-        instants = 2 * (first + step + np.where(np.isnan(share), 0.5, share))
-        return cls(path, contact, np.asarray(instants, dtype=float), np.asarray(begins & (share == by_depth)))
+    def of(cls, path: Trajectory, contact: Contact, place: int, edges: Indices) -> Self:
+        """Return the changes of the contact in a place of the motion's impacts, in intervals between edges (K + 1,)."""
+        impacts = path.impacts
+        if impacts is None:
+            return cls(path, contact, False, np.zeros(0), np.zeros(0, dtype=bool))
+        own = impacts.places == place
+        instants, met = 2 * impacts.instants[own], impacts.met[own]
+        earlier = np.count_nonzero(instants <= edges[0])
+        touching = bool(impacts.touching[place]) != bool(earlier % 2)
+        during = slice(earlier, np.count_nonzero(instants < edges[-1]))
+        return cls(path, contact, touching, instants[during], met[during])
 
     def during(self, bounds: Array, middle: Array) -> tuple[Array, Array]:
         """Return the sides (P,) on which it touches in pieces between bounds (P + 1,), and on which it comes to one."""
-        path, joint, begin = self.path, self.contact.joint, int(bounds[0]) // 2
-        touching = self.contact.touches(path.q[begin, joint], path.v[begin, joint])
         changed = np.searchsorted(self.instants, middle) % 2 == 1
-        angle = path.angles(path.time[0] + path.step / 2 * middle)[:, joint]
-        side = np.where(changed != touching, np.sign(angle), 0.0)
+        angle = self.path.angles(self.path.time[0] + self.path.step / 2 * middle)[:, self.contact.joint]
+        side = np.where(changed != self.touching, np.sign(angle), 0.0)
         return side, np.where(np.isin(bounds[:-1], self.instants[self.met]), side, 0.0)
-
-
-def _sign_change(values: Array, shares: Array, upwards: Mask) -> Array:
-    """Return where (E,) values (E, s + 1) at shares of a step become positive or cease to be; NaN where they do not."""
-    positive = (values > 0.0) == upwards[:, None]
-    changes = positive[:, 1:] & ~positive[:, :-1]
-    k = np.argmax(changes, axis=1)
-    before, after = (np.take_along_axis(values, (k + j)[:, None], axis=1)[:, 0] for j in (0, 1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = shares[k] + (shares[k + 1] - shares[k]) * before / (before - after)
-    return np.where(changes.any(axis=1), share, np.nan)
 
 
 class DryFrictionCoefficients(NamedTuple):

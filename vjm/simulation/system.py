@@ -12,10 +12,11 @@ from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
+from vjm.effects.contact import Contact
 from vjm.effects.effect import StateFunction
 from vjm.errors import InsufficientDataError
 from vjm.model.dynamics import Mechanism, mechanism_of
-from vjm.records import Array, Indices, Recording
+from vjm.records import Array, Indices, Mask, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.stick_slip import FrictionHistory
 
@@ -133,7 +134,8 @@ class System:
 
     Attributes:
         mechanisms: the distinct chains with their payloads, and the copies that move as each of them.
-        stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
+        stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad], with the flanks of their gaps.
+        contacts: gaps of joints, as one contact of arrays (C, n_c); those that a copy lacks are never closed.
         active: coordinates that torques drive.
         arms: one a copy.
         acting: effects that exert forces or have internal states, copies with the same ones together.
@@ -142,6 +144,7 @@ class System:
     mechanisms: tuple[tuple[Indices | slice, Mechanism], ...]
     stiffness: Array
     damping: Array
+    contacts: Contact
     active: NDArray[np.intp]
     arms: tuple[Arm, ...]
     acting: tuple[_Acting, ...]
@@ -154,6 +157,7 @@ class System:
             _mechanisms(chains, payloads, gravity),
             np.stack([chain.stiffness for chain in chains]),
             np.stack([chain.damping for chain in chains]),
+            _contacts([arm.contacts for arm in arms]),
             chains[0].active,
             tuple(arms),
             _acting_effects(arms, payloads),
@@ -162,6 +166,40 @@ class System:
     @property
     def _all_copies(self) -> slice:
         return slice(0, len(self.arms), 1)
+
+    def of_copy(self, copy: int) -> System:
+        """Return the system of one of the copies."""
+        alone = slice(0, 1, 1)
+        copies = np.arange(len(self.arms))
+        mechanisms = tuple((alone, mechanism) for group, mechanism in self.mechanisms if copy in copies[group])
+        acting = tuple(part._replace(copies=alone) for part in self.acting if copy in copies[part.copies])
+        of_copy = slice(copy, copy + 1)
+        return System(
+            mechanisms,
+            self.stiffness[of_copy],
+            self.damping[of_copy],
+            self.contacts.at(of_copy),
+            self.active,
+            self.arms[of_copy],
+            acting,
+        )
+
+    def springs(self, touching: Mask) -> tuple[Array, Array]:
+        """Return stiffness and damping (C, nv), of flanks where joints (C, n_c) touch them."""
+        if not touching.size:
+            return self.stiffness, self.damping
+        copies, places = np.nonzero(~touching)
+        stiffness, damping = self.stiffness.copy(), self.damping.copy()
+        for copy, place in zip(copies, places, strict=True):
+            contact = self.contacts.at((copy, place))
+            stiffness[copy, contact.joint] -= contact.stiffness
+            damping[copy, contact.joint] -= contact.damping
+        return stiffness, damping
+
+    @property
+    def has_contacts(self) -> bool:
+        """True if a joint of any copy has a gap."""
+        return bool(np.size(self.contacts.joint))
 
     @property
     def has_further_forces(self) -> bool:
@@ -230,6 +268,15 @@ def _mechanisms(
     )
 
 
+def _contacts(of_copies: Sequence[Sequence[Contact]]) -> Contact:
+    """Return the contacts of C copies as one of arrays (C, n_c)."""
+    count = max(map(len, of_copies))
+    none = Contact(0, np.finfo(float).max, 0.0, 0.0)
+    rows = np.array([[*contacts, *[none] * (count - len(contacts))] for contacts in of_copies], dtype=float)
+    joint, gap, stiffness, damping = np.moveaxis(rows.reshape(len(of_copies), count, len(none)), 2, 0)
+    return Contact(joint.astype(np.intp), gap, stiffness, damping)
+
+
 def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Acting, ...]:
     """Return the effects that act on the copies, those of copies with the same effects and payload together."""
     groups: dict[tuple[int, int, float], list[int]] = {}
@@ -265,6 +312,15 @@ _QUINTIC_HERMITE = np.array(
 )
 
 
+def quintic_hermite(duration: float, start: Array, end: Array) -> Array:
+    """Return coefficients (6, ...) by powers of the share of a duration [s] of motions between two instants.
+
+    `start` and `end` are positions, rates and accelerations (3, ...) there.
+    """
+    units = np.reshape([1.0, duration, duration**2], (3,) + (1,) * (start.ndim - 1))
+    return np.asarray(np.tensordot(_QUINTIC_HERMITE, np.concatenate([units * start, units * end]), 1))
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Motion of one arm, or of C copies, at the integrator's own instants.
@@ -275,6 +331,7 @@ class Trajectory:
         z: (S + 1, ..., nz) internal states of the effects.
         start: instant at which the recording began, from which effects count time [s]; None: the first.
         friction: what dry friction has done to the active joints; None without any.
+        impacts: what joints with gaps have done; None without any.
         evenly: False if instants are not evenly spaced; where two are the same, the motion jumps.
     """
 
@@ -286,6 +343,7 @@ class Trajectory:
     _: KW_ONLY
     start: float | None = None
     friction: FrictionHistory | None = None
+    impacts: Impacts | None = None
     evenly: bool = True
 
     @property
@@ -322,13 +380,31 @@ class Trajectory:
 
         Accelerations and internal states, which may have kinks and jumps, are linear within a step.
         """
-        k = np.clip(steps.astype(int), 0, len(self.time) - 2)
-        q, v = self.sample(self.time[0] + self.step * steps)
-        a, z = (
-            values[k] + (steps - k).reshape(-1, *(1,) * (values.ndim - 1)) * (values[k + 1] - values[k])
-            for values in (self.a, self.z)
-        )
-        return Trajectory(self.time[0] + self.step * steps, q, v, a, z, start=self.began)
+        time = self.time[0] + self.step * steps
+        q, v = self.sample(time)
+        a, z = self._linear(time)
+        return Trajectory(time, q, v, a, z, start=self.began)
+
+    def _linear(self, time: Array) -> list[Array]:
+        """Return accelerations and internal states (I, ...) at instants (I,) [s], linear between the motion's own."""
+        k, duration = self._steps(time)
+        share = (time - self.time[k]) / duration
+        values = [
+            each[k] + share.reshape(-1, *(1,) * (each.ndim - 1)) * (each[k + 1] - each[k]) for each in (self.a, self.z)
+        ]
+        if self.impacts is not None and (inside := self.impacts.cover(time, self.step)).any():
+            for each, closely in zip(values, self.impacts.path._linear(time[inside]), strict=True):
+                each[inside] = closely
+        return values
+
+    def _steps(self, time: Array) -> tuple[Indices, float | Array]:
+        """Return the steps (...) in which instants (...) [s] are, and these steps' durations [s]."""
+        if self.evenly:
+            k = np.clip(((time - self.time[0]) / self.step).astype(int), 0, len(self.time) - 2)
+            return k, self.step
+        last = np.searchsorted(self.time, self.time[-1]) - 1
+        k = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, last)
+        return k, self.time[k + 1] - self.time[k]
 
     def sample(self, time: Array) -> tuple[Array, Array]:
         """Return angles and rates (..., nv) [rad, rad/s] at instants (...) [s], by quintic Hermite interpolation.
@@ -343,15 +419,40 @@ class Trajectory:
 
     def _interpolated(self, time: Array, order: int = 0) -> Array:
         """Return the angles' derivative of an order (..., nv) at instants (...) [s]."""
-        h: float | Array = self.step
-        before = (time - self.time[0]) / h if self.evenly else np.searchsorted(self.time, time, side="right") - 1
-        k = np.clip(before.astype(int), 0, len(self.time) - 2)
-        if not self.evenly:
-            h = self.time[k + 1] - self.time[k]
+        k, h = self._steps(time)
         weights = polyval((time - self.time[k]) / h, polyder(_QUINTIC_HERMITE, order)) / h**order
         weights, h = (np.reshape(each, np.shape(each) + (1,) * (self.q.ndim - 1)) for each in (weights, h))
         total: Array = weights[0] * self.q[k]
         terms = (self.v, h, k), (self.a, h**2, k), (self.q, 1.0, k + 1), (self.v, h, k + 1), (self.a, h**2, k + 1)
         for weight, (values, unit, rows) in zip(weights[1:], terms, strict=True):
             total += weight * unit * values[rows]
+        if self.impacts is not None and (inside := self.impacts.cover(time, self.step)).any():
+            total[inside] = self.impacts.path._interpolated(time[inside], order)
         return total
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """Contacts of joints with the flanks of their gaps in a motion, which begin and end within its steps.
+
+    Attributes:
+        path: the motion in the steps in which they do, at closer instants; two of these are the same where it jumps.
+        touching: (n_c,) true for joints that are in contact at the motion's beginning.
+        instants: (E,) beginnings and ends of contacts, in steps since then.
+        places: (E,) which of the contacts.
+        met: (E,) true where a joint comes to a flank, whose damper then pushes at once.
+    """
+
+    path: Trajectory
+    touching: Mask
+    instants: Array
+    places: Indices
+    met: Mask
+
+    def cover(self, time: Array, step: float) -> Mask:
+        """Return whether instants (...) [s] are in one of these steps [s]."""
+        if self.path.time.size < 2:
+            return np.zeros(np.shape(time), dtype=bool)
+        _, duration = self.path._steps(time)
+        inside = (time >= self.path.time[0]) & (time <= self.path.time[-1])
+        return np.asarray(inside & (duration < 0.75 * step))  # others lie between one of these steps and the next

@@ -141,7 +141,7 @@ class _EquationsOfMotion:
         self.driven = [arm.inputs(observed.recording) for observed in motions.observed]
         self.gravity, payload = self.driven[0].gravity, self.driven[0].payload
         self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
-        self.force = arm.forces(payload, contacts=False)
+        self.force = arm.forces(payload)
 
     def inertial_torque(self, motion: Motions) -> Array:
         """Return M a + h (I, nv)."""
@@ -358,8 +358,9 @@ def _state_derivatives(equations: _EquationsOfMotion, motion: Motions, shapes: A
     m, nz = shapes.shape[2], motion.z.shape[1]
     forces, rates = np.zeros((len(motion.q), chain.size, 2 * m + nz)), np.zeros((len(motion.q), nz, 2 * m + nz))
     by_angle, by_rate, inertia = equations.mechanism.derivatives(motion.q, motion.v, motion.a)
-    forces[:, :, :m] = by_angle @ shapes + chain.stiffness[:, None] * shapes
-    forces[:, :, m : 2 * m] = by_rate @ shapes + chain.damping[:, None] * shapes
+    stiffness, damping = arm.springs
+    forces[:, :, :m] = by_angle @ shapes + stiffness[:, None] * shapes
+    forces[:, :, m : 2 * m] = by_rate @ shapes + damping[:, None] * shapes
     for j in range(m) if nz or equations.force is not None else ():
         shape, step = shapes[:, :, j], steps[:, j, None]
         turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
@@ -440,8 +441,9 @@ def _parameter_derivatives(
         other_arm = Arm(replace(other_arm.chain, armature=chain.armature), other_arm.effects)
     other_chain, nz = other_arm.chain, state_rates.shape[1]
     shared = np.delete(np.arange(other_chain.size), _added_joints(chain, other_chain))
-    forces = motion.q[:, shared] * (other_chain.stiffness[shared] - chain.stiffness)
-    forces += motion.v[:, shared] * (other_chain.damping[shared] - chain.damping)
+    (stiffness, damping), (other_stiffness, other_damping) = equations.arm.springs, other_arm.springs
+    forces = motion.q[:, shared] * (other_stiffness[shared] - stiffness)
+    forces += motion.v[:, shared] * (other_damping[shared] - damping)
     rates = np.zeros(state_rates.shape)
     if other_arm.effects == equations.arm.effects and have_equal_links(chain, other_chain, _OF_BODIES):
         if equations.force is not None and not np.array_equal(other_chain.stiffness, chain.stiffness):
@@ -484,15 +486,7 @@ def with_added_joints(
     if not added.size:
         return list(paths)
     shared = np.delete(np.arange(extended.size), added)
-    wider = [
-        replace(
-            path,
-            q=_widened(path.q, shared, extended.size),
-            v=_widened(path.v, shared, extended.size),
-            a=_widened(path.a, shared, extended.size),
-        )
-        for path in paths
-    ]
+    wider = [_widened(path, shared, extended.size) for path in paths]
     motion = Motions.of(wider, observed)
     if sum(arm.state_counts) > motion.z.shape[1]:
         motion = motion.followed(arm)
@@ -515,14 +509,22 @@ def with_added_joints(
             q, v = _swing(-reaction / mass, stiffness / mass, damping / mass, path.step)
             path.q[:, joint], path.v[:, joint] = q, v
             path.a[:, joint] = -(reaction + stiffness * q + damping * v) / mass
+        if path.impacts is not None and path.impacts.path.time.size:
+            closely, evenly = path.impacts.path, replace(path, impacts=None)
+            closely.q[:, added], closely.v[:, added] = (each[:, added] for each in evenly.sample(closely.time))
+            closely.a[:, added] = evenly.between((closely.time - path.time[0]) / path.step).a[:, added]
     return wider
 
 
-def _widened(values: Array, shared: Indices, size: int) -> Array:
-    """Return values (I, k) of some joints as those (I, size) of more joints, zero for the others."""
-    wider = np.zeros((len(values), size))
-    wider[:, shared] = values
-    return wider
+def _widened(path: Trajectory, shared: Indices, size: int) -> Trajectory:
+    """Return the motion of some joints as that of more joints, zero for the others."""
+    wider = np.zeros((3, len(path.time), size))
+    wider[:, :, shared] = path.q, path.v, path.a
+    q, v, a = wider
+    impacts = path.impacts
+    if impacts is not None:
+        impacts = replace(impacts, path=_widened(impacts.path, shared, size))
+    return replace(path, q=q, v=v, a=a, impacts=impacts)
 
 
 def _swing(push: Array, stiffness: float, damping: float, step: float) -> tuple[Array, Array]:

@@ -1,0 +1,285 @@
+"""Steps in which joints come to the flanks of their gaps, or leave them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
+from scipy.optimize import brentq
+
+from vjm.effects.contact import Contact
+from vjm.records import Array, Mask
+from vjm.simulation.stick_slip import multiply
+from vjm.simulation.system import Impacts, System, Trajectory, quintic_hermite
+
+# Angles w h [rad] of vibrations in a step h of the classical Runge-Kutta method, which adds (w h)^5 / 120 of their
+# amplitude: a contact's rebound is right to 1e-4, and what is faster in the chain is stable.
+_CONTACT_ANGLE, _CHAIN_ANGLE = 0.3, 1.0
+PATH_SHARES = np.arange(1, 9) / 8  # of a step, at which contacts are looked for
+# By which a joint may be off between steps [rad]: a millionth of the arm's length at the tip, as `default_step` allows.
+_RESOLVED = 1e-6
+
+
+class _Node(NamedTuple):
+    """A motion at one instant.
+
+    Attributes:
+        share: of the step that has passed.
+        state: (2 nv + nz,) angles [rad], rates [rad/s] and internal states.
+        slope: (2 nv + nz,) rate of change of the state.
+    """
+
+    share: float
+    state: Array
+    slope: Array
+
+
+class ContactSteps:
+    """Contacts of the copies' joints, from step to step.
+
+    While nothing changes, flanks in contact are part of the linear part, which is advanced exactly. A step in which a
+    contact begins or ends is advanced once more for the copy, by small steps from one of these instants to the next.
+
+    Attributes:
+        touching: (C, n_c) true for joints that are pressed against a flank.
+        torque: (C, nv) of these flanks' springs where angles are zero [N m].
+    """
+
+    def __init__(
+        self,
+        system: System,
+        start: tuple[Array, Array],
+        torques: tuple[Array, Array, Array],
+        elapsed: Array,
+        step: float,
+    ) -> None:
+        """Begin with a motion.
+
+        Args:
+            system: the copies.
+            start: angles and rates (C, nv) [rad, rad/s].
+            torques: those on all joints at S steps' starts and at the end of the last (S + 1, C, nv), in their middles
+                and at their ends (S, C, nv), quadratics in between [N m].
+            elapsed: (C,) time since each recording began [s].
+            step: [s].
+        """
+        q, v = start
+        self._contacts, self._rows, self._active = system.contacts, np.arange(len(q))[:, None], system.active
+        self._torques, self._elapsed, self._step = torques, elapsed, step
+        self.touching = self._condition(q, v) > 0.0
+        self.torque = np.zeros(q.shape)
+        parts = zip(range(len(q)), self.touching, self.torque, q, strict=True)
+        self._copies = [_Copy(system.of_copy(copy), step, *of_copy) for copy, *of_copy in parts]
+
+    def _condition(self, q: Array, v: Array) -> Array:
+        joints = self._contacts.joint
+        return self._contacts.condition(q[self._rows, joints], v[self._rows, joints])
+
+    def advance(
+        self, k: int, motion: Array, paths: Array, further: Array | None, end: Array, z: tuple[Array, Array]
+    ) -> bool:
+        """Advance copies anew whose contacts begin or end in a step, and return whether there are any.
+
+        Args:
+            k: the step.
+            motion: (C, 4 n) torques, angles, rates and accelerations at its start.
+            paths: (C, 4 n, 3 n s) matrices to angles, rates and accelerations at s shares of it, by the linear part;
+                one stands for all copies where they are equal.
+            further: (C, n_a) torques to be added at its start [N m]; None: nothing.
+            end: (C, 2 n) angles and rates at its end; those of the copies are replaced.
+            z: (C, nz) internal states at its start and at its end; those at the end, too.
+        """
+        n = motion.shape[1] // 4
+        path = multiply(motion, paths).reshape(len(motion), -1, 3 * n)
+        changes, vibrates = self._look(motion[:, n:], path, end)
+        for copy in np.flatnonzero(vibrates & ~changes).tolist():
+            self._copies[copy].note(k, motion[copy, n:], path[copy], end[copy], z[0][copy], z[1][copy])
+        for copy in np.flatnonzero(changes).tolist():
+            torques = np.stack([part[k, copy] for part in self._torques])
+            if further is not None:
+                torques[0, self._active] += further[copy]
+            state = np.concatenate([motion[copy, n : 3 * n], z[0][copy]])
+            state = self._copies[copy].advance(k, state, torques, float(self._elapsed[copy] + k * self._step))
+            end[copy], z[1][copy] = np.split(state, [2 * n])
+        return bool(changes.any())
+
+    def _look(self, start: Array, path: Array, end: Array) -> tuple[Mask, Mask]:
+        """Return in which copies (C,) contacts begin or end in a step, and in which joints with gaps vibrate.
+
+        Args:
+            start: (C, 3 n) angles, rates and accelerations at its start.
+            path: (C, s, 3 n) the same at shares of it, by the linear part.
+            end: (C, 2 n) angles and rates at its end.
+        """
+        joints, h = np.asarray(self._contacts.joint), self._step
+        q0, v0, a0 = (each[self._rows, joints] for each in np.split(start, 3, axis=1))
+        q, v, a = (np.take_along_axis(each, joints[:, None], axis=2) for each in np.split(path, 3, axis=2))
+        touches = self._contacts.at((slice(None), None)).condition(q, v) > 0.0
+        at_end = self._condition(*np.split(end, 2, axis=1)) > 0.0
+        changes = (touches != self.touching[:, None]).any(axis=1) | (at_end != self.touching)
+        # Halfway, the quintic between start and end is off where a joint vibrates within the step.
+        quintic = (q0 + q[:, -1]) / 2 + h * (5 / 32 * (v0 - v[:, -1]) + h / 64 * (a0 + a[:, -1]))
+        vibrates = np.abs(q[:, PATH_SHARES.size // 2 - 1] - quintic) > _RESOLVED
+        return changes.any(axis=1), vibrates.any(axis=1)
+
+    def impacts(self, copy: int, steps: int, first: float) -> Impacts:
+        """Return what has happened to a copy in a number of steps, the first of which begins at an instant [s]."""
+        return self._copies[copy].impacts(steps, first)
+
+
+class _Copy:
+    """Contacts of one copy of a system; their present state, `touching` and `torque`, is changed in place."""
+
+    def __init__(self, system: System, step: float, touching: Mask, torque: Array, q: Array) -> None:
+        self.system, self.step = system, step
+        self.contacts = system.contacts.at(0)
+        self.touching, self.torque = touching, torque
+        self.began = touching.copy()
+        self.limits: dict[bytes, float] = {}
+        self.nodes: list[tuple[int, _Node]] = []
+        self.changes: list[tuple[float, int, bool]] = []  # steps, which contact, whether it comes to a flank
+        self.press(q)
+
+    def press(self, q: Array) -> None:
+        """Update springs, and the torque of flanks in contact, on the sides where the joints are at angles (nv,)."""
+        (self.stiffness,), (self.damping,) = self.system.springs(self.touching[None])
+        pressed = self.contacts.at(self.touching)
+        self.torque[:] = 0.0
+        np.add.at(self.torque, pressed.joint, pressed.stiffness * pressed.gap / 2 * np.sign(q[pressed.joint]))
+
+    def note(self, k: int, start: Array, path: Array, end: Array, z: Array, z_end: Array) -> None:
+        """Note the motion within a step.
+
+        Args:
+            k: the step.
+            start: (3 nv,) angles, rates and accelerations at its start.
+            path: (s, 3 nv) those at shares of it, by the linear part; the cubic is added to them that leads to its end.
+            end: (2 nv,) angles and rates there.
+            z, z_end: (nz,) internal states at its start and its end.
+        """
+        n, h, shares = self.torque.size, self.step, np.r_[0.0, PATH_SHARES]
+        missing_q, missing_v = np.split(end - path[-1, : 2 * n], 2)
+        cubic = np.outer([0.0, 0.0, 3.0, -2.0], missing_q) + h * np.outer([0.0, 0.0, -1.0, 1.0], missing_v)
+        slopes = [np.asarray(polyval(shares, polyder(cubic, order))).T / h**order for order in range(3)]
+        q, v, a = (
+            each + slope for each, slope in zip(np.split(np.vstack([start, path]), 3, axis=1), slopes, strict=True)
+        )
+        rates = (z_end - z) / h
+        for place, share in enumerate(shares.tolist()):
+            state = np.concatenate([q[place], v[place], z + share * h * rates])
+            self.nodes.append((k, _Node(share, state, np.concatenate([v[place], a[place], rates]))))
+
+    def advance(self, k: int, state: Array, torques: Array, time: float) -> Array:
+        """Advance by a step, as `ContactSteps.advance` says."""
+        start, middle, end = torques
+        drive = np.stack([start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)])
+        node = self.node(0.0, state, drive, time)
+        self.nodes.append((k, node))
+        while node.share < 1.0:
+            left = 1.0 - node.share
+            # Two in a step at least, by which they are told from it.
+            count = max(int(np.ceil(left * self.step / self.limit())), 2 if left == 1.0 else 1)
+            ahead = self.ahead(node, node.share + left / count if count > 1 else 1.0, drive, time)
+            change = self.first_change(node, ahead)
+            if change is not None:
+                place, share = change
+                if share < ahead.share:
+                    ahead = self.ahead(node, share, drive, time)
+                self.nodes.append((k, ahead))
+                self.change(place, node, k + ahead.share)
+                self.press(ahead.state)
+                ahead = self.node(ahead.share, ahead.state, drive, time)
+            node = ahead
+            self.nodes.append((k, node))
+        return node.state
+
+    def node(self, share: float, state: Array, drive: Array, time: float) -> _Node:
+        """Return the motion at a share of a step, under torques (3, nv) by its powers and the present contacts."""
+        n = drive.shape[1]
+        q, v, z = state[None, :n], state[None, n : 2 * n], state[None, 2 * n :]
+        torque = polyval(share, drive) + self.torque - self.stiffness * q - self.damping * v
+        rates = z
+        if self.system.has_further_forces:
+            force, rates = self.system.further_forces(np.array([time + share * self.step]), q, v, z)
+            torque += force
+        slope = np.concatenate([v, self.system.accelerations(q, v, torque), rates], axis=1)[0]
+        return _Node(share, state, slope)
+
+    def ahead(self, start: _Node, share: float, drive: Array, time: float) -> _Node:
+        """Return the motion at a later share, by the classical Runge-Kutta method."""
+        h, middle = (share - start.share) * self.step, (start.share + share) / 2
+        second = self.node(middle, start.state + h / 2 * start.slope, drive, time).slope
+        third = self.node(middle, start.state + h / 2 * second, drive, time).slope
+        last = self.node(share, start.state + h * third, drive, time).slope
+        return self.node(share, start.state + h / 6 * (start.slope + 2 * (second + third) + last), drive, time)
+
+    def limit(self) -> float:
+        """Return the longest small step [s] in the present contacts."""
+        key = self.touching.tobytes()
+        if key not in self.limits:
+            n, (_, mechanism) = self.torque.size, self.system.mechanisms[0]
+            mobility = np.linalg.inv(mechanism.mass_matrix(np.zeros((1, n)))[0])
+            slopes = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility * self.stiffness, -mobility * self.damping]])
+            limits = [_CHAIN_ANGLE / np.abs(np.linalg.eigvals(slopes)).max()]
+            pressed = self.contacts.at(self.touching)
+            own = mobility[pressed.joint, pressed.joint]
+            fastest = np.maximum(np.sqrt(pressed.stiffness * own), pressed.damping * own)
+            self.limits[key] = float(np.min([*limits, *_CONTACT_ANGLE / fastest]))
+        return self.limits[key]
+
+    def first_change(self, start: _Node, end: _Node) -> tuple[int, float] | None:
+        """Return which contact is the first to begin or end between two instants, and at what share; None if none."""
+        n, joints = self.torque.size, self.contacts.joint
+        duration = (end.share - start.share) * self.step
+        # Angles, rates and accelerations (3, n_c).
+        before, after = (
+            np.stack([node.state[:n][joints], node.slope[:n][joints], node.slope[n : 2 * n][joints]])
+            for node in (start, end)
+        )
+        changes = []
+        for place in np.flatnonzero((self.contacts.condition(*after[:2]) > 0.0) != self.touching).tolist():
+            turn = quintic_hermite(duration, before[:, place], after[:, place])
+            of_joint = self.contacts.at(place), turn, np.asarray(polyder(turn) / duration, dtype=float)
+            share = 1.0  # where a contact begins and ends between them
+            if _condition(0.0, *of_joint) * _condition(1.0, *of_joint) < 0.0:
+                share = float(brentq(_condition, 0.0, 1.0, of_joint, xtol=1e-12))
+            changes.append((start.share + share * (end.share - start.share) if share < 1.0 else end.share, place))
+        if not changes:
+            return None
+        share, place = min(changes)
+        return place, share
+
+    def change(self, place: int, before: _Node, steps: float) -> None:
+        """Let a contact begin or end after so many steps, and note whether its joint comes to a flank."""
+        contact, begins = self.contacts.at(place), not self.touching[place]
+        self.touching[place] = begins
+        apart = bool(contact.depth(before.state[contact.joint]) <= 0.0)
+        self.changes.append((steps, place, begins and apart))
+
+    def impacts(self, steps: int, first: float) -> Impacts:
+        """Return what has happened, as `ContactSteps.impacts` says."""
+        n = self.torque.size
+        nodes = [(k, node) for k, node in self.nodes if k < steps]
+        time = first + self.step * np.array([k + node.share for k, node in nodes])
+        size = self.nodes[0][1].state.size if self.nodes else 2 * n
+        states, slopes = (
+            np.array([getattr(node, name) for _, node in nodes]).reshape(-1, size) for name in ("state", "slope")
+        )
+        path = Trajectory(
+            time, states[:, :n], states[:, n : 2 * n], slopes[:, n : 2 * n], states[:, 2 * n :], evenly=False
+        )
+        changes = [change for change in self.changes if change[0] < steps]
+        instants, places, met = zip(*changes, strict=True) if changes else ((), (), ())
+        return Impacts(
+            path,
+            self.began,
+            np.array(instants, dtype=float),
+            np.array(places, dtype=np.intp),
+            np.array(met, dtype=bool),
+        )
+
+
+def _condition(share: float, contact: Contact, turn: Array, rate: Array) -> float:
+    """Return a contact's condition at a share of a motion, whose angle and rate are polynomials of it."""
+    return float(contact.condition(polyval(np.asarray(share), turn), polyval(np.asarray(share), rate)))
