@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
 
 from vjm.chain.virtual_links import Chain
+from vjm.model.dynamics import mechanism_of
 from vjm.records import Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
@@ -88,3 +90,45 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> t
     last[:, system.active] = drive.ends[-1]
     path.q[-1], path.v[-1], path.a[-1], path.z[-1] = q, v, slopes(time[-1], q, v, z, last)[0], z
     return path, None
+
+
+def followed_events(arm: Arm, recording: Recording) -> Array:
+    """Angles (T, nv) at the recording's instants from rest, by DOP853 from one contact's begin or end to the next."""
+    chain, contacts, driven = arm.chain, arm.contacts, arm.inputs(recording)
+    n, (stiffness, damping) = chain.size, arm.springs
+    mechanism = mechanism_of(chain, recording.payload, recording.gravity)
+
+    def rates(t: float, state: Array, sides: Array) -> Array:
+        q, v = state[None, :n], state[None, n:]
+        torque = -stiffness * q - damping * v
+        torque[:, chain.active] += [np.interp(t, driven.time, column) for column in driven.tau.T]
+        for contact, side in zip(contacts, sides, strict=True):
+            if side:
+                joint = contact.joint
+                torque[:, joint] -= side * contact.resistance(q[:, joint], v[:, joint])
+        return np.r_[state[n:], mechanism.forward_dynamics(q, v, torque)[0]]
+
+    def change_of(place: int, touches: bool) -> Callable[[float, Array, Array], float]:
+        contact = contacts[place]
+
+        def change(t: float, state: Array, sides: Array) -> float:
+            return float(contact.condition(state[contact.joint], state[n + contact.joint]))
+
+        change.terminal, change.direction = True, -1.0 if touches else 1.0  # type: ignore[attr-defined]
+        return change
+
+    time, found, t, state = recording.time, [np.zeros((1, n))], 0.0, np.zeros(2 * n)
+    sides = np.zeros(len(contacts))
+    while t < time[-1]:
+        changes = [change_of(place, side != 0.0) for place, side in enumerate(sides)]
+        span = (t, float(time[-1]))
+        # Small steps at first, as a joint may leave a flank for less than a millisecond.
+        steps = {"rtol": 1e-10, "atol": 1e-12, "max_step": 1e-3, "first_step": min(1e-5, span[1] - t)}
+        part = solve_ivp(rates, span, state, "DOP853", time[time > t], events=changes, args=(sides,), **steps)
+        found += [part.y.T[:, :n]] if len(part.t) else []
+        if part.status != 1:
+            break
+        place = next(place for place, instants in enumerate(part.t_events) if len(instants))
+        t, state = float(part.t_events[place][0]), part.y_events[place][0]
+        sides[place] = 0.0 if sides[place] else np.sign(state[contacts[place].joint])
+    return np.concatenate(found)

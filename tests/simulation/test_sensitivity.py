@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.linalg import eigh, expm
 
 from tests.chain.beams import beam_chain
 from tests.diagnosis.rigs import RIG, chain_of, recorded
+from tests.simulation.integrators import followed_events
 from tests.simulation.setups import (
     DOWN,
     arm_of,
@@ -39,7 +39,6 @@ from vjm.effects import (
     Stribeck,
     TipPayload,
 )
-from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise, modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
@@ -279,39 +278,6 @@ def test_derivatives_of_what_sticks_are_differences_of_simulations(name: str) ->
     assert (np.mean(held, axis=0) > 0.05).all()  # of the time
     assert (np.median(errors, axis=0) < 0.05).all()
     assert np.median(errors) < 0.01
-
-
-def followed_events(arm: Arm, recording: Recording) -> Array:
-    """Angles (T, nv) at the recording's instants from rest, by DOP853 from one contact's begin or end to the next."""
-    chain, (contact,) = arm.chain, arm.contacts
-    n, joint, driven = chain.size, contact.joint, arm.inputs(recording)
-    mechanism, (stiffness, damping) = mechanism_of(chain, recording.payload, recording.gravity), arm.springs
-
-    def rates(t: float, state: Array, side: float) -> Array:
-        q, v = state[None, :n], state[None, n:]
-        torque = -stiffness * q - damping * v
-        torque[:, chain.active] += np.interp(t, driven.time, driven.tau[:, 0])
-        torque[:, joint] -= side * contact.resistance(q[:, joint], v[:, joint]) if side else 0.0
-        return np.r_[state[n:], mechanism.forward_dynamics(q, v, torque)[0]]
-
-    def change(t: float, state: Array, side: float) -> float:
-        turn, rate = np.array(state[joint]), np.array(state[n + joint])
-        return float(min(contact.depth(turn), contact.resistance(turn, rate)))
-
-    change.terminal = True  # type: ignore[attr-defined]
-    time, found, t, state, side = recording.time, [np.zeros((1, n))], 0.0, np.zeros(2 * n), 0.0
-    while t < time[-1]:
-        change.direction = -1.0 if side else 1.0  # type: ignore[attr-defined]
-        span = (t, float(time[-1]))
-        # Small steps at first, as a joint may leave a flank for less than a millisecond.
-        steps = {"rtol": 1e-10, "atol": 1e-12, "max_step": 1e-3, "first_step": min(1e-5, span[1] - t)}
-        part = solve_ivp(rates, span, state, "DOP853", time[time > t], events=change, args=(side,), **steps)
-        found += [part.y.T[:, :n]] if len(part.t) else []
-        if part.status != 1:
-            break
-        t, state = float(part.t_events[0][0]), part.y_events[0][0]
-        side = 0.0 if side else float(np.sign(state[joint]))
-    return np.concatenate(found)
 
 
 @pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 2, 4, 5))])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -112,15 +114,15 @@ class ContactSteps:
             path: (C, s, 3 n) the same at shares of it, by the linear part.
             end: (C, 2 n) angles and rates at its end.
         """
-        joints, h = np.asarray(self._contacts.joint), self._step
-        q0, v0, a0 = (each[self._rows, joints] for each in np.split(start, 3, axis=1))
-        q, v, a = (np.take_along_axis(each, joints[:, None], axis=2) for each in np.split(path, 3, axis=2))
-        touches = self._contacts.at((slice(None), None)).condition(q, v) > 0.0
-        at_end = self._condition(*np.split(end, 2, axis=1)) > 0.0
-        changes = (touches != self.touching[:, None]).any(axis=1) | (at_end != self.touching)
+        n, h, rows, joints = end.shape[1] // 2, self._step, self._rows, np.asarray(self._contacts.joint)
+        q0, v0, a0 = (start[rows, joints + k * n] for k in range(3))
+        q, v, a = (path[rows, :, joints + k * n] for k in range(3))  # (C, n_c, s)
+        touches = self._contacts.at((..., None)).condition(q, v) > 0.0
+        at_end = self._condition(end[:, :n], end[:, n:]) > 0.0
+        changes = (touches != self.touching[:, :, None]).any(axis=2) | (at_end != self.touching)
         # Halfway, the quintic between start and end is off where a joint vibrates within the step.
-        quintic = (q0 + q[:, -1]) / 2 + h * (5 / 32 * (v0 - v[:, -1]) + h / 64 * (a0 + a[:, -1]))
-        vibrates = np.abs(q[:, PATH_SHARES.size // 2 - 1] - quintic) > _RESOLVED
+        quintic = (q0 + q[:, :, -1]) / 2 + h * (5 / 32 * (v0 - v[:, :, -1]) + h / 64 * (a0 + a[:, :, -1]))
+        vibrates = np.abs(q[:, :, PATH_SHARES.size // 2 - 1] - quintic) > _RESOLVED
         return changes.any(axis=1), vibrates.any(axis=1)
 
     def impacts(self, copy: int, steps: int, first: float) -> Impacts:
@@ -198,7 +200,7 @@ class _Copy:
         """Return the motion at a share of a step, under torques (3, nv) by its powers and the present contacts."""
         n = drive.shape[1]
         q, v, z = state[None, :n], state[None, n : 2 * n], state[None, 2 * n :]
-        torque = polyval(share, drive) + self.torque - self.stiffness * q - self.damping * v
+        torque = drive[0] + share * (drive[1] + share * drive[2]) + self.torque - self.stiffness * q - self.damping * v
         rates = z
         if self.system.has_further_forces:
             force, rates = self.system.further_forces(np.array([time + share * self.step]), q, v, z)
@@ -230,17 +232,15 @@ class _Copy:
 
     def first_change(self, start: _Node, end: _Node) -> tuple[int, float] | None:
         """Return which contact is the first to begin or end between two instants, and at what share; None if none."""
-        n, joints = self.torque.size, self.contacts.joint
+        n, joints = self.torque.size, np.asarray(self.contacts.joint)
         duration = (end.share - start.share) * self.step
-        # Angles, rates and accelerations (3, n_c).
         before, after = (
-            np.stack([node.state[:n][joints], node.slope[:n][joints], node.slope[n : 2 * n][joints]])
-            for node in (start, end)
+            np.array([node.state[joints], node.state[n + joints], node.slope[n + joints]]) for node in (start, end)
         )
         changes = []
-        for place in np.flatnonzero((self.contacts.condition(*after[:2]) > 0.0) != self.touching).tolist():
+        for place in np.flatnonzero((self.contacts.condition(after[0], after[1]) > 0.0) != self.touching).tolist():
             turn = quintic_hermite(duration, before[:, place], after[:, place])
-            of_joint = self.contacts.at(place), turn, np.asarray(polyder(turn) / duration, dtype=float)
+            of_joint = self.contacts.at(place), turn.tolist(), (polyder(turn) / duration).tolist()
             share = 1.0  # where a contact begins and ends between them
             if _condition(0.0, *of_joint) * _condition(1.0, *of_joint) < 0.0:
                 share = float(brentq(_condition, 0.0, 1.0, of_joint, xtol=1e-12))
@@ -280,6 +280,7 @@ class _Copy:
         )
 
 
-def _condition(share: float, contact: Contact, turn: Array, rate: Array) -> float:
+def _condition(share: float, contact: Contact, turn: Sequence[float], rate: Sequence[float]) -> float:
     """Return a contact's condition at a share of a motion, whose angle and rate are polynomials of it."""
-    return float(contact.condition(polyval(np.asarray(share), turn), polyval(np.asarray(share), rate)))
+    motion = (np.asarray(reduce(lambda value, c: value * share + c, reversed(each), 0.0)) for each in (turn, rate))
+    return float(contact.condition(*motion))

@@ -221,7 +221,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
         return rates
 
     def advance(number: int, weights: _Weights, torque: Array) -> None:
-        np.add(torque, of_flanks, out=applied)
+        applied[:] = torque if contacts is None else torque + of_flanks
         multiply(known[number - 1], weights[number - 1], stage)
 
     def record(k: int, a: Array, z: Array) -> None:

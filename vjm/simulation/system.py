@@ -382,20 +382,13 @@ class Trajectory:
         """
         time = self.time[0] + self.step * steps
         q, v = self.sample(time)
-        a, z = self._linear(time)
-        return Trajectory(time, q, v, a, z, start=self.began)
-
-    def _linear(self, time: Array) -> list[Array]:
-        """Return accelerations and internal states (I, ...) at instants (I,) [s], linear between the motion's own."""
         k, duration = self._steps(time)
         share = (time - self.time[k]) / duration
-        values = [
-            each[k] + share.reshape(-1, *(1,) * (each.ndim - 1)) * (each[k + 1] - each[k]) for each in (self.a, self.z)
-        ]
-        if self.impacts is not None and (inside := self.impacts.cover(time, self.step)).any():
-            for each, closely in zip(values, self.impacts.path._linear(time[inside]), strict=True):
-                each[inside] = closely
-        return values
+        a, z = (
+            values[k] + share.reshape(-1, *(1,) * (values.ndim - 1)) * (values[k + 1] - values[k])
+            for values in (self.a, self.z)
+        )
+        return Trajectory(time, q, v, a, z, start=self.began)
 
     def _steps(self, time: Array) -> tuple[Indices, float | Array]:
         """Return the steps (...) in which instants (...) [s] are, and these steps' durations [s]."""
