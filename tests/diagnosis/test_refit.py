@@ -109,12 +109,7 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
     ("stiffness", "damping", "seed"),
     [
         *((500.0, 2.0, seed) for seed in (1, 2, 3)),
-        (2000.0, 4.0, 1),
-        pytest.param(  # from the truth it ends at 9451
-            *(2000.0, 4.0, 2),
-            marks=pytest.mark.xfail(raises=AssertionError, reason="ends at a chi^2 of 9795, the flanks half as stiff"),
-        ),
-        (2000.0, 4.0, 3),
+        *((2000.0, 4.0, seed) for seed in (1, 2, 3)),
     ],
 )
 def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, damping: float, seed: int) -> None:
