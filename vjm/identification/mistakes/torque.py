@@ -281,12 +281,12 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
             weight = balance.weight(given, masses) if declared else full
             applied, links = torques * balance.torque + weight, masses @ balance.momenta
             sizes = torques[:, 0] ** 2 * np.median(balance.torque**2) + np.median(full**2, axis=1)
-            parts = _Parts(
+            supposed = _Hypotheses(
                 applied - links, links, balance.turning, sizes, balance.masses_noise(masses), balance.heading_noise
             )
-            misfits = np.array([parts.misfit(hub) for hub in hubs.T])
+            misfits = np.array([supposed.misfit(hub) for hub in hubs.T])
             if not silent:  # between those supposed: what is left by their distance may favour wrong masses
-                misfits = np.minimum(misfits, parts.misfit(parts.fitted(hubs, misfits)))
+                misfits = np.minimum(misfits, supposed.misfit(supposed.fitted(hubs, misfits)))
             gains.append(-0.5 * balance.independent * np.log(misfits))
     if not gains:
         return np.zeros(len(scales))
@@ -294,8 +294,8 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
     return np.asarray(likelihoods - likelihoods[0])
 
 
-class _Parts(NamedTuple):
-    """Parts of the balance under f hypotheses, over N windows, apart from the hub's."""
+class _Hypotheses(NamedTuple):
+    """Terms of a balance under f hypotheses, over N windows, without the hub's."""
 
     missing: Array  # (f, N) of the links' momentum
     links: Array  # (f, N) the links' momentum
@@ -305,7 +305,7 @@ class _Parts(NamedTuple):
     heading_noise: float
 
     def misfit(self, hub: Array) -> Array:
-        """Return median squared errors over the parts' own (f,) with hubs (f,) [kg m^2].
+        """Return median squared errors over those of the terms (f,) with hubs (f,) [kg m^2].
 
         Relative, so that none is likelier for small numbers; medians, since a glitch spoils few windows.
         """
