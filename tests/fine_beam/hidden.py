@@ -128,7 +128,7 @@ class Physics:
     def step(self) -> float:
         """Longest step that follows what is not smooth, s."""
         if self.backlash_gap > 0.0:
-            return 5e-4
+            return 1.25e-4
         abrupt = self.has_dry_friction or isfinite(self.torque_saturation_limit) or self.cogging_amplitude != 0.0
         return 1e-3 if abrupt else 2e-3
 
