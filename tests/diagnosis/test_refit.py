@@ -130,6 +130,25 @@ def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, d
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_sizes_of_a_backlash_are_those_beside_more_joints(seed: int) -> None:
+    """Of an arm with eighteen virtual joints, by a model with three."""
+    truth = Backlash(link=0, gap=0.01, motor_share=0.4).placed(RIG, 0)
+    recordings = recorded(Arm.of(chain_of(18), (truth,)), seed, duration=4.0)
+    found = refit(in_segments(recordings), [replace(truth, gap=0.012, flank_damping=2.5)])
+    assert found is not None
+    fit = continued(found, RIG, np.inf)
+    assert fit.shift is not None
+    (part,) = fit.point.problem.parts
+    errors = np.sqrt(np.diag(information_of(fit).covariance[part, part]))
+    before = (fit.point.x[part] - truth.coordinates) / errors
+    after = before + fit.shift[part] / errors
+    assert np.abs(before).max() > 10.0  # the motor's share
+    assert (np.abs(after) < 4.0).all()
+    assert np.sqrt(np.mean(after**2)) < 2.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_segment_that_sticks_is_begun_from_rest_or_from_the_end_of_the_one_before(seed: int) -> None:
     truth = CoulombFriction(link=0, torque=0.008)
