@@ -5,6 +5,8 @@ Run from the repository's root: python docs/make_effects.py
 
 from __future__ import annotations
 
+import inspect
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,17 @@ def parameters(effect: Effect) -> str:
     return ", ".join(cells) or "-"
 
 
+def definition(effect: Effect) -> str:
+    """Return what an effect is and what its parameters mean, as its class says."""
+    text, _, attributes = (inspect.getdoc(type(effect)) or "").partition("\nAttributes:\n")
+    paragraphs, names = [text.strip()], {parameter.name for parameter in effect.parameters}
+    for line in textwrap.dedent(attributes).splitlines():
+        attribute, _, meaning = line.partition(": ")
+        if names.issuperset(attribute.split(", ")):
+            paragraphs.append(f"`{attribute}`: {meaning}")
+    return "\n\n".join(paragraphs)
+
+
 def page() -> str:
     """Return the whole page."""
     parts = [HEAD]
@@ -42,6 +55,7 @@ def page() -> str:
             if effect.sensor != sensor:
                 continue
             parts.append(f"\n### `{effect.id}`\n\n{effect.description[0].upper()}{effect.description[1:]}.\n")
+            parts.append(f"\n{definition(effect)}\n")
             parts.append(f"\n- Parameters: {parameters(effect)}\n")
             parts.append(f"- Assumes: {effect.assumptions}\n")
             if effect.distinguishing_experiment:
