@@ -139,6 +139,9 @@ def test_the_headline_says_first_where_causes_make_predictions_worse() -> None:
         "Use the model without these causes: with these causes the held-out error rises from 0.30 mm to 0.50 mm."
     )
     assert replace(found, gain=gain).to_dict()["recommended"] == "without causes"
+    little = replace(gain, before=3.001e-4, after=3.04e-4, reduction=-0.013, interval=(-0.02, -0.01))
+    told = "the held-out error rises by 1.3 % of 0.30 mm."
+    assert told in plain(result_page(replace(found, gain=little)).headline)
 
 
 def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:

@@ -281,7 +281,7 @@ def data_warnings(data: TrainingData) -> list[str]:
         angles, name = prepared.angles, prepared.recording.file
         if angles.unsolved:
             frames = f"{angles.unsolved} of {len(angles.time)} frames"
-            warnings.append(f"{name}: {frames} have no solution for the joint angles and were left out")
+            warnings.append(f"{name}: {frames} lack markers or an encoder angle for the joint angles and were left out")
         motion = float(np.max(np.nanstd(angles.q, axis=0) / np.sqrt(np.maximum(np.diag(angles.covariance), 1e-300))))
         if motion < _MOTION:
             warnings.append(

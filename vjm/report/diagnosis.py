@@ -45,7 +45,10 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
     (headline, grade), gain = _headline(diagnosis), diagnosis.gain
     if diagnosis.causes and gain is not None and gain.harmful:
         causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
-        change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
+        before, after = millimetres(gain.before), millimetres(gain.after)
+        change = (
+            f"from {before} to {after}" if after != before else f"by {number(-100 * gain.reduction, 2)} % of {before}"
+        )
         harm = f"Use the model without {causes}: with {causes} the held-out error rises {change}."
         headline, grade = f"{harm} {headline}", "poor"
     if diagnosis.budget.exhausted and diagnosis.budget.not_tried:
