@@ -11,7 +11,7 @@ import pytest
 from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.diagnosis import alternatives
 from vjm.diagnosis.alternatives import _with_errors, equivalent_increase, estimate_causes, ranked
-from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
+from vjm.diagnosis.records import EQUIVALENT, Alternative
 from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
 from vjm.identification.trajectory_fit import fit_trajectory
 from vjm.simulation.arm import Arm
@@ -128,11 +128,18 @@ def test_a_refit_out_of_time_is_no_measure_of_what_is_missed() -> None:
         assert cause.decrease == missed
 
 
-def test_the_cause_that_explains_most_is_a_main_one_even_if_the_fit_without_it_was_better() -> None:
-    payload, offset = TipPayload(link=0, mass=0.01), EncoderOffset(link=0, offset=0.01)
-    worse, worst = Cause(payload, {}, 1e-9, -5.0, (), ""), Cause(offset, {}, 1e-9, -900.0, (), "")
-    assert [cause.role for cause in ranked([worst, worse])] == ["main", "minor"]
-    assert [cause.role for cause in ranked([worst])] == ["main"]
+def test_a_cause_whose_fit_was_no_better_than_that_without_it_explains_nothing() -> None:
+    """Where time has run out; it is the main one all the same if there is no other."""
+    payload = TipPayload(link=0, mass=0.01)
+    family = SimpleNamespace(p_of_fit=lambda effect, decrease: 0.5 if decrease == 0.0 else 1e-9)
+    better = model((), 900.0)
+    search = SimpleNamespace(start=better, refit_without=lambda *_: better)
+    result = SimpleNamespace(
+        best=model((payload,), 1000.0), first_tests=family, p_values={}, fits={frozenset(): better}, segment_fits={}
+    )
+    (cause,) = ranked(estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2)))
+    assert (cause.decrease, cause.p_value, cause.role) == (0.0, 0.5, "main")
+    assert cause.evidence == "its fit ended before it was better than that without it"
 
 
 @pytest.mark.parametrize("alone", [True, False])

@@ -154,11 +154,13 @@ def estimate_causes(
         best.point.problem.reference_effects :
     ]:
         reduced = _model_without(effect, result, search)
-        decrease = predicted_increase(best, effect) if reduced is None else reduced.chi2 - best.chi2
+        decrease = predicted_increase(best, effect) if reduced is None else max(reduced.chi2 - best.chi2, 0.0)
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / inflation)
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
         if reduced is None:
             evidence = f"not fitted without it, out of time: chi² would rise by {number(decrease)} in a linear model"
+        elif not decrease:
+            evidence = "its fit ended before it was better than that without it"
         else:
             unit = "noise" if reference_misfit == 1 else "the residual before the change"
             before, after = ratio(reduced.misfit), ratio(best.misfit)
@@ -185,8 +187,7 @@ def _model_without(effect: Effect, result: SearchResult, search: Search) -> Traj
 def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return causes with their roles: main ones by the chi^2 that they explain, then minor ones by held-out gain."""
     largest = max((cause.decrease for cause in causes), default=0.0)
-    least = min(VISIBLE_SHARE * largest, largest)  # none explains anything where the fit without it was cut short
-    roles = [replace(cause, role="minor" if cause.decrease < least else "main") for cause in causes]
+    roles = [replace(cause, role="minor" if cause.decrease < VISIBLE_SHARE * largest else "main") for cause in causes]
     main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
     minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)
