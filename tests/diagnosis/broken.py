@@ -10,6 +10,7 @@ import numpy as np
 
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import Effect, StateFunction, magnitude, shape_parameter
+from vjm.effects.contact import Contact
 from vjm.effects.effect import JointEffect
 from vjm.records import Recording, Rig
 
@@ -284,6 +285,21 @@ class HiddenMotor(CubicFriction):
 
     def true_inputs(self, recording: Recording) -> Recording:
         return recording if self.is_null else replace(recording, tau=recording.tau + self.coefficient)
+
+
+@dataclass(frozen=True)
+class GapWithoutFlanks(CubicFriction):
+    """A gap at the first virtual joint, whose flanks are stiffer than that."""
+
+    def contact(self, chain: Chain) -> Contact | None:
+        joint = int(chain.passive[0])
+        return None if self.is_null else Contact(joint, 0.01, 2 * float(chain.stiffness[joint]), 0.0)
+
+
+@dataclass(frozen=True)
+class GapOfNoJoint(CubicFriction):
+    def contact(self, chain: Chain) -> Contact | None:
+        return None if self.is_null else Contact(chain.size, 0.01, 1.0, 0.0)
 
 
 @dataclass(frozen=True)

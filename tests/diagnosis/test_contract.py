@@ -41,6 +41,8 @@ BROKEN = [
     (broken.FrictionWithoutSlope(), "hooks", "`smooth` leaves it dry friction"),
     (broken.FrictionThatPushes(), "hooks", "`dry_friction` of -0.* N m; expected a torque that is not negative"),
     (broken.FrictionOfALink(), "hooks", "`dry_friction` of coordinate 3; expected an active joint"),
+    (broken.GapWithoutFlanks(), "hooks", "expected flanks among the springs of `chain`"),
+    (broken.GapOfNoJoint(), "hooks", "`contact` of coordinate 4; expected one of the 4 joints"),
     (broken.SmoothedAway(), "hooks", "expected the same parameters and the same chain"),
     (broken.SmoothWithStates(), "hooks", "an effect with 1 states; expected 0"),
     (broken.WritesIntoArrays(), "inputs", "`marker_positions` of WritesIntoArrays.* writes into an array"),

@@ -293,6 +293,9 @@ def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
         joints, sizes = range(chain.size), contact[1:]
         yield contact.joint in joints, f"`contact` of coordinate {contact.joint}", f"one of the {chain.size} joints"
         yield min(sizes) >= 0 and max(sizes) < np.inf, f"`contact` gives {contact}", "finite sizes, none negative"
+        own = chain.stiffness[contact.joint], chain.damping[contact.joint]
+        held = np.all(np.array(sizes[1:]) <= np.array(own) * (1 + _ROUNDING))
+        yield bool(held), f"its joint has a spring and damper of {own}", "flanks among the springs of `chain`"
     yield (rates is not None) == (count > 0), f"{count} states, `state_rates` {rates}", "rates where there are states"
     yield reduced == count, f"`smooth` makes it an effect with {reduced} states", f"{count}"
     yield smooth.dry_friction(chain) is None, "`smooth` leaves it dry friction", "a gradual `force` in its place"
