@@ -95,3 +95,20 @@ def test_steps_may_be_far_longer_than_a_contact() -> None:
     steps = found.impacts.instants.astype(int)
     assert np.unique(steps).size < steps.size
     assert np.diff(found.impacts.instants).min() > 0.0
+
+
+def test_a_flank_that_is_followed_out_of_and_into_again_is_not_met() -> None:
+    """The joint leaves faster than the flank springs back, is pushed, and is touched again while it is still in."""
+    arm = Arm.of(CHAIN, (PLAY,))
+    (contact,) = arm.contacts
+    q, v = np.zeros((2, arm.chain.size))
+    q[contact.joint], v[contact.joint] = contact.gap / 2 + 2e-4, -0.2
+    recording = recording_of(arm.chain, np.arange(51) / 1000.0, lambda time: np.full((time.size, 1), -4.0))
+    (found,) = simulate_trajectories([arm], [recording], [q], [v])
+    assert found.impacts is not None
+    assert not found.impacts.touching.any()
+    began = found.time[0] + found.step * found.impacts.instants[0]
+    turn, rate = (each[contact.joint] for each in found.sample(began))
+    assert contact.depth(turn) > 1e-6
+    assert contact.resistance(turn, rate) == pytest.approx(0.0, abs=1e-6)
+    assert not found.impacts.met[0]
