@@ -233,13 +233,15 @@ class _Copy:
     def first_change(self, start: _Node, end: _Node) -> tuple[int, float] | None:
         """Return which contact is the first to begin or end between two instants, and at what share; None if none."""
         n, joints = self.torque.size, np.asarray(self.contacts.joint)
-        duration = (end.share - start.share) * self.step
-        before, after = (
-            np.array([node.state[joints], node.state[n + joints], node.slope[n + joints]]) for node in (start, end)
-        )
+        condition = self.contacts.condition(end.state[joints], end.state[n + joints])
         changes = []
-        for place in np.flatnonzero((self.contacts.condition(after[0], after[1]) > 0.0) != self.touching).tolist():
-            turn = quintic_hermite(duration, before[:, place], after[:, place])
+        for place in np.flatnonzero((condition > 0.0) != self.touching).tolist():
+            joint = int(joints[place])
+            before, after = (
+                np.array([node.state[joint], node.state[n + joint], node.slope[n + joint]]) for node in (start, end)
+            )
+            duration = (end.share - start.share) * self.step
+            turn = quintic_hermite(duration, before, after)
             of_joint = self.contacts.at(place), turn.tolist(), (polyder(turn) / duration).tolist()
             share = 1.0  # where a contact begins and ends between them
             if _condition(0.0, *of_joint) * _condition(1.0, *of_joint) < 0.0:
