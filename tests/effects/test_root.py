@@ -113,13 +113,15 @@ def test_springs_at_one_root_are_in_series_in_any_order() -> None:
 def flank_torque(twist: Array, rate: float = 0.0, gap: float = GAP) -> Array:
     """Torque of motor on hub."""
     arm = Arm.of(HUB, [Backlash(link=0, gap=gap, flank_stiffness=STIFFNESS, flank_damping=DAMPING)])
-    chain, root = arm.chain, arm.chain.roots[0]
+    (contact,), root, (stiffness, damping) = arm.contacts, arm.chain.roots[0], arm.springs
     assert arm.forces(0.0) is None
-    q, v = np.zeros((2, twist.size, chain.size))
-    q[:, root], v[:, root] = twist, rate
-    total = arm.joint_torques(q, v)
-    assert np.delete(total, root, axis=1) == pytest.approx(np.delete(-chain.stiffness * q, root, axis=1))
-    return total[:, root]
+    assert contact.joint == root
+    # Apart from its flanks the joint turns freely, and they change nothing else.
+    assert (stiffness[root], damping[root]) == (0.0, 0.0)
+    assert np.delete(stiffness, root).tolist() == np.delete(arm.chain.stiffness, root).tolist()
+    rates = np.full(twist.shape, rate)
+    pushes = contact.event_function(twist, rates) > 0.0
+    return np.where(pushes, -np.sign(twist) * contact.resistance(twist, rates), 0.0)
 
 
 def test_nothing_is_passed_on_inside_the_gap() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from vjm.chain.virtual_links import Chain
+from vjm.effects.contact import Contact
 from vjm.model.dynamics import mechanism_of
 from vjm.records import Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
@@ -51,12 +52,18 @@ def simulate(
     return sensor_readings(arm, MarkerArcs.of(rig), recording, trajectory)
 
 
+def flank_torque(contact: Contact, twist: Array, rate: Array) -> Array:
+    """The torque of a gap's flanks on its joint; they push and never pull."""
+    inside = np.abs(twist) > contact.gap / 2
+    push = contact.stiffness * (np.abs(twist) - contact.gap / 2) + contact.damping * np.sign(twist) * rate
+    return -np.sign(twist) * np.where(inside, np.maximum(push, 0.0), 0.0)
+
+
 def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tuple[Trajectory, None]:
     """Classical fourth-order Runge-Kutta steps, the reference (section 6.4 of the paper takes 100 us)."""
     if system.has_dry_friction:
         raise ValueError("the reference has no dry friction: give it a gradual one")
     contacts, copies = system.contacts, np.arange(len(q))[:, None]
-    stiffness, damping = system.springs(np.zeros(np.shape(contacts.joint), dtype=bool))
     step, count = drive.step, len(drive.start)
     time, half, accelerations = step * np.arange(count + 1.0), step / 2, system.accelerations
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
@@ -65,9 +72,9 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> t
     torques[..., system.active] = active
 
     def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
-        force = torque - stiffness * q - damping * v
+        force = torque - system.stiffness * q - system.damping * v
         joints = copies, contacts.joint
-        force[joints] += contacts.torque(q[joints], v[joints])
+        force[joints] += flank_torque(contacts, q[joints], v[joints])
         if not system.has_further_forces:
             return accelerations(q, v, force), z
         further, rates = system.further_forces(np.full(len(q), time), q, v, z)
@@ -112,7 +119,7 @@ def followed_events(arm: Arm, recording: Recording) -> Array:
         contact = contacts[place]
 
         def change(t: float, state: Array, sides: Array) -> float:
-            return float(contact.condition(state[contact.joint], state[n + contact.joint]))
+            return float(contact.event_function(state[contact.joint], state[n + contact.joint]))
 
         change.terminal, change.direction = True, -1.0 if touches else 1.0  # type: ignore[attr-defined]
         return change

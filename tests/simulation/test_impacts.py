@@ -51,7 +51,7 @@ def test_gaps_of_two_joints_are_followed(seed: int) -> None:
     recording = jerked(arm, seed, duration=0.2)
     found, expected = moved(arm, recording), followed_events(arm, recording)
     assert found.impacts is not None
-    assert {*found.impacts.places.tolist()} == {0, 1}
+    assert {*found.impacts.contacts.tolist()} == {0, 1}
     assert found.angles(recording.time) == pytest.approx(expected, abs=2e-5)
 
 

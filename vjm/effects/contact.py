@@ -36,11 +36,6 @@ class Contact(NamedTuple):
         """Return k d + c d' (...) [N m] at angles (...) [rad] and rates (...) [rad/s]: the push where it touches."""
         return np.asarray(self.stiffness * self.depth(twist) + self.damping * np.sign(twist) * rate)
 
-    def condition(self, twist: Array, rate: Array) -> Array:
-        """Return the smaller of depth and resistance (...): positive where a flank touches."""
+    def event_function(self, twist: Array, rate: Array) -> Array:
+        """Return the smaller of depth and resistance (...), whose zeros are events: positive where a flank pushes."""
         return np.asarray(np.minimum(self.depth(twist), self.resistance(twist, rate)))
-
-    def torque(self, twist: Array, rate: Array) -> Array:
-        """Return the flanks' torque (...) on the joint [N m]."""
-        push = np.where(self.condition(twist, rate) > 0.0, self.resistance(twist, rate), 0.0)
-        return np.asarray(-np.sign(twist) * push)

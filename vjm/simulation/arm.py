@@ -101,14 +101,6 @@ class Arm:
             damping[contact.joint] -= contact.damping
         return stiffness, damping
 
-    def joint_torques(self, q: Array, v: Array) -> Array:
-        """Return torques (..., nv) of springs, dampers and gaps' flanks at angles [rad] and rates [rad/s] (..., nv)."""
-        stiffness, damping = self.springs
-        torques = np.asarray(-stiffness * q - damping * v)
-        for contact in self.contacts:
-            torques[..., contact.joint] += contact.torque(q[..., contact.joint], v[..., contact.joint])
-        return torques
-
     def forces(self, payload: float) -> StateFunction | None:
         """Return the sum of the effects' generalised forces; None without any."""
         forces = self._hooks(lambda effect: effect.force(self.chain, payload))

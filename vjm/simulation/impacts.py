@@ -23,7 +23,7 @@ PATH_SHARES = np.arange(1, 9) / 8  # of a step, at which contacts are looked for
 _RESOLVED = 1e-6
 
 
-class _Node(NamedTuple):
+class _Instant(NamedTuple):
     """A motion at one instant.
 
     Attributes:
@@ -69,14 +69,14 @@ class ContactSteps:
         q, v = start
         self._contacts, self._rows, self._active = system.contacts, np.arange(len(q))[:, None], system.active
         self._torques, self._elapsed, self._step = torques, elapsed, step
-        self.touching = self._condition(q, v) > 0.0
+        self.touching = self._event_function(q, v) > 0.0
         self.torque = np.zeros(q.shape)
         parts = zip(range(len(q)), self.touching, self.torque, q, strict=True)
-        self._copies = [_Copy(system.of_copy(copy), step, *of_copy) for copy, *of_copy in parts]
+        self._copies = [_CopyContacts(system.of_copy(copy), step, *of_copy) for copy, *of_copy in parts]
 
-    def _condition(self, q: Array, v: Array) -> Array:
+    def _event_function(self, q: Array, v: Array) -> Array:
         joints = self._contacts.joint
-        return self._contacts.condition(q[self._rows, joints], v[self._rows, joints])
+        return self._contacts.event_function(q[self._rows, joints], v[self._rows, joints])
 
     def advance(
         self, k: int, motion: Array, paths: Array, further: Array | None, end: Array, z: tuple[Array, Array]
@@ -94,9 +94,9 @@ class ContactSteps:
         """
         n = motion.shape[1] // 4
         path = multiply(motion, paths).reshape(len(motion), -1, 3 * n)
-        changes, vibrates = self._look(motion[:, n:], path, end)
+        changes, vibrates = self._changes_and_vibrations(motion[:, n:], path, end)
         for copy in np.flatnonzero(vibrates & ~changes).tolist():
-            self._copies[copy].note(k, motion[copy, n:], path[copy], end[copy], z[0][copy], z[1][copy])
+            self._copies[copy].record(k, motion[copy, n:], path[copy], end[copy], z[0][copy], z[1][copy])
         for copy in np.flatnonzero(changes).tolist():
             torques = np.stack([part[k, copy] for part in self._torques])
             if further is not None:
@@ -106,7 +106,7 @@ class ContactSteps:
             end[copy], z[1][copy] = np.split(state, [2 * n])
         return bool(changes.any())
 
-    def _look(self, start: Array, path: Array, end: Array) -> tuple[Mask, Mask]:
+    def _changes_and_vibrations(self, start: Array, path: Array, end: Array) -> tuple[Mask, Mask]:
         """Return in which copies (C,) contacts begin or end in a step, and in which joints with gaps vibrate.
 
         Args:
@@ -117,8 +117,8 @@ class ContactSteps:
         n, h, rows, joints = end.shape[1] // 2, self._step, self._rows, np.asarray(self._contacts.joint)
         q0, v0, a0 = (start[rows, joints + k * n] for k in range(3))
         q, v, a = (path[rows, :, joints + k * n] for k in range(3))  # (C, n_c, s)
-        touches = self._contacts.at((..., None)).condition(q, v) > 0.0
-        at_end = self._condition(end[:, :n], end[:, n:]) > 0.0
+        touches = self._contacts.at((..., None)).event_function(q, v) > 0.0
+        at_end = self._event_function(end[:, :n], end[:, n:]) > 0.0
         changes = (touches != self.touching[:, :, None]).any(axis=2) | (at_end != self.touching)
         # Halfway, the quintic between start and end is off where a joint vibrates within the step.
         quintic = (q0 + q[:, :, -1]) / 2 + h * (5 / 32 * (v0 - v[:, :, -1]) + h / 64 * (a0 + a[:, :, -1]))
@@ -130,7 +130,7 @@ class ContactSteps:
         return self._copies[copy].impacts(steps, first)
 
 
-class _Copy:
+class _CopyContacts:
     """Contacts of one copy of a system; their present state, `touching` and `torque`, is changed in place."""
 
     def __init__(self, system: System, step: float, touching: Mask, torque: Array, q: Array) -> None:
@@ -139,18 +139,18 @@ class _Copy:
         self.touching, self.torque = touching, torque
         self.began = touching.copy()
         self.limits: dict[bytes, float] = {}
-        self.nodes: list[tuple[int, _Node]] = []
+        self.path: list[tuple[int, _Instant]] = []
         self.changes: list[tuple[float, int, bool]] = []  # steps, which contact, whether it comes to a flank
-        self.press(q)
+        self.update_flanks(q)
 
-    def press(self, q: Array) -> None:
+    def update_flanks(self, q: Array) -> None:
         """Update springs, and the torque of flanks in contact, on the sides where the joints are at angles (nv,)."""
         (self.stiffness,), (self.damping,) = self.system.springs(self.touching[None])
         pressed = self.contacts.at(self.touching)
         self.torque[:] = 0.0
         np.add.at(self.torque, pressed.joint, pressed.stiffness * pressed.gap / 2 * np.sign(q[pressed.joint]))
 
-    def note(self, k: int, start: Array, path: Array, end: Array, z: Array, z_end: Array) -> None:
+    def record(self, k: int, start: Array, path: Array, end: Array, z: Array, z_end: Array) -> None:
         """Note the motion within a step.
 
         Args:
@@ -170,33 +170,33 @@ class _Copy:
         rates = (z_end - z) / h
         for place, share in enumerate(shares.tolist()):
             state = np.concatenate([q[place], v[place], z + share * h * rates])
-            self.nodes.append((k, _Node(share, state, np.concatenate([v[place], a[place], rates]))))
+            self.path.append((k, _Instant(share, state, np.concatenate([v[place], a[place], rates]))))
 
     def advance(self, k: int, state: Array, torques: Array, time: float) -> Array:
         """Advance by a step, as `ContactSteps.advance` says."""
         start, middle, end = torques
         drive = np.stack([start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)])
-        node = self.node(0.0, state, drive, time)
-        self.nodes.append((k, node))
-        while node.share < 1.0:
-            left = 1.0 - node.share
+        instant = self.at(0.0, state, drive, time)
+        self.path.append((k, instant))
+        while instant.share < 1.0:
+            left = 1.0 - instant.share
             # Two in a step at least, by which they are told from it.
-            count = max(int(np.ceil(left * self.step / self.limit())), 2 if left == 1.0 else 1)
-            ahead = self.ahead(node, node.share + left / count if count > 1 else 1.0, drive, time)
-            change = self.first_change(node, ahead)
+            count = max(int(np.ceil(left * self.step / self.longest_step())), 2 if left == 1.0 else 1)
+            ahead = self.runge_kutta_step(instant, instant.share + left / count if count > 1 else 1.0, drive, time)
+            change = self.first_change(instant, ahead)
             if change is not None:
                 place, share = change
                 if share < ahead.share:
-                    ahead = self.ahead(node, share, drive, time)
-                self.nodes.append((k, ahead))
-                self.change(place, node, k + ahead.share)
-                self.press(ahead.state)
-                ahead = self.node(ahead.share, ahead.state, drive, time)
-            node = ahead
-            self.nodes.append((k, node))
-        return node.state
+                    ahead = self.runge_kutta_step(instant, share, drive, time)
+                self.path.append((k, ahead))
+                self.begin_or_end(place, instant, k + ahead.share)
+                self.update_flanks(ahead.state)
+                ahead = self.at(ahead.share, ahead.state, drive, time)
+            instant = ahead
+            self.path.append((k, instant))
+        return instant.state
 
-    def node(self, share: float, state: Array, drive: Array, time: float) -> _Node:
+    def at(self, share: float, state: Array, drive: Array, time: float) -> _Instant:
         """Return the motion at a share of a step, under torques (3, nv) by its powers and the present contacts."""
         n = drive.shape[1]
         q, v, z = state[None, :n], state[None, n : 2 * n], state[None, 2 * n :]
@@ -206,17 +206,17 @@ class _Copy:
             force, rates = self.system.further_forces(np.array([time + share * self.step]), q, v, z)
             torque += force
         slope = np.concatenate([v, self.system.accelerations(q, v, torque), rates], axis=1)[0]
-        return _Node(share, state, slope)
+        return _Instant(share, state, slope)
 
-    def ahead(self, start: _Node, share: float, drive: Array, time: float) -> _Node:
+    def runge_kutta_step(self, start: _Instant, share: float, drive: Array, time: float) -> _Instant:
         """Return the motion at a later share, by the classical Runge-Kutta method."""
         h, middle = (share - start.share) * self.step, (start.share + share) / 2
-        second = self.node(middle, start.state + h / 2 * start.slope, drive, time).slope
-        third = self.node(middle, start.state + h / 2 * second, drive, time).slope
-        last = self.node(share, start.state + h * third, drive, time).slope
-        return self.node(share, start.state + h / 6 * (start.slope + 2 * (second + third) + last), drive, time)
+        second = self.at(middle, start.state + h / 2 * start.slope, drive, time).slope
+        third = self.at(middle, start.state + h / 2 * second, drive, time).slope
+        last = self.at(share, start.state + h * third, drive, time).slope
+        return self.at(share, start.state + h / 6 * (start.slope + 2 * (second + third) + last), drive, time)
 
-    def limit(self) -> float:
+    def longest_step(self) -> float:
         """Return the longest small step [s] in the present contacts."""
         key = self.touching.tobytes()
         if key not in self.limits:
@@ -230,29 +230,30 @@ class _Copy:
             self.limits[key] = float(np.min([*limits, *_CONTACT_ANGLE / fastest]))
         return self.limits[key]
 
-    def first_change(self, start: _Node, end: _Node) -> tuple[int, float] | None:
+    def first_change(self, start: _Instant, end: _Instant) -> tuple[int, float] | None:
         """Return which contact is the first to begin or end between two instants, and at what share; None if none."""
         n, joints = self.torque.size, np.asarray(self.contacts.joint)
-        condition = self.contacts.condition(end.state[joints], end.state[n + joints])
+        pressed = self.contacts.event_function(end.state[joints], end.state[n + joints]) > 0.0
         changes = []
-        for place in np.flatnonzero((condition > 0.0) != self.touching).tolist():
+        for place in np.flatnonzero(pressed != self.touching).tolist():
             joint = int(joints[place])
             before, after = (
-                np.array([node.state[joint], node.state[n + joint], node.slope[n + joint]]) for node in (start, end)
+                np.array([instant.state[joint], instant.state[n + joint], instant.slope[n + joint]])
+                for instant in (start, end)
             )
             duration = (end.share - start.share) * self.step
             turn = quintic_hermite(duration, before, after)
             of_joint = self.contacts.at(place), turn.tolist(), (polyder(turn) / duration).tolist()
             share = 1.0  # where a contact begins and ends between them
-            if _condition(0.0, *of_joint) * _condition(1.0, *of_joint) < 0.0:
-                share = float(brentq(_condition, 0.0, 1.0, of_joint, xtol=1e-12))
+            if _event_function(0.0, *of_joint) * _event_function(1.0, *of_joint) < 0.0:
+                share = float(brentq(_event_function, 0.0, 1.0, of_joint, xtol=1e-12))
             changes.append((start.share + share * (end.share - start.share) if share < 1.0 else end.share, place))
         if not changes:
             return None
         share, place = min(changes)
         return place, share
 
-    def change(self, place: int, before: _Node, steps: float) -> None:
+    def begin_or_end(self, place: int, before: _Instant, steps: float) -> None:
         """Let a contact begin or end after so many steps, and note whether its joint comes to a flank."""
         contact, begins = self.contacts.at(place), not self.touching[place]
         self.touching[place] = begins
@@ -262,11 +263,11 @@ class _Copy:
     def impacts(self, steps: int, first: float) -> Impacts:
         """Return what has happened, as `ContactSteps.impacts` says."""
         n = self.torque.size
-        nodes = [(k, node) for k, node in self.nodes if k < steps]
-        time = first + self.step * np.array([k + node.share for k, node in nodes])
-        size = self.nodes[0][1].state.size if self.nodes else 2 * n
+        kept = [(k, instant) for k, instant in self.path if k < steps]
+        time = first + self.step * np.array([k + instant.share for k, instant in kept])
+        size = self.path[0][1].state.size if self.path else 2 * n
         states, slopes = (
-            np.array([getattr(node, name) for _, node in nodes]).reshape(-1, size) for name in ("state", "slope")
+            np.array([getattr(instant, name) for _, instant in kept]).reshape(-1, size) for name in ("state", "slope")
         )
         path = Trajectory(
             time, states[:, :n], states[:, n : 2 * n], slopes[:, n : 2 * n], states[:, 2 * n :], evenly=False
@@ -282,7 +283,7 @@ class _Copy:
         )
 
 
-def _condition(share: float, contact: Contact, turn: Sequence[float], rate: Sequence[float]) -> float:
-    """Return a contact's condition at a share of a motion, whose angle and rate are polynomials of it."""
+def _event_function(share: float, contact: Contact, turn: Sequence[float], rate: Sequence[float]) -> float:
+    """Return a contact's event_function at a share of a motion, whose angle and rate are polynomials of it."""
     motion = (np.asarray(reduce(lambda value, c: value * share + c, reversed(each), 0.0)) for each in (turn, rate))
-    return float(contact.condition(*motion))
+    return float(contact.event_function(*motion))

@@ -139,7 +139,7 @@ class _Touches(NamedTuple):
         impacts = path.impacts
         if impacts is None:
             return cls(path, contact, False, np.zeros(0), np.zeros(0, dtype=bool))
-        own = impacts.places == place
+        own = impacts.contacts == place
         instants, met = 2 * impacts.instants[own], impacts.met[own]
         earlier = np.count_nonzero(instants <= edges[0])
         touching = bool(impacts.touching[place]) != bool(earlier % 2)

@@ -134,7 +134,7 @@ class System:
 
     Attributes:
         mechanisms: the distinct chains with their payloads, and the copies that move as each of them.
-        stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad], with the flanks of their gaps.
+        stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad], without the flanks of their gaps.
         contacts: gaps of joints, as one contact of arrays (C, n_c); those that a copy lacks are never closed.
         active: coordinates that torques drive.
         arms: one a copy.
@@ -155,8 +155,8 @@ class System:
         chains = [arm.chain for arm in arms]
         return cls(
             _mechanisms(chains, payloads, gravity),
-            np.stack([chain.stiffness for chain in chains]),
-            np.stack([chain.damping for chain in chains]),
+            np.stack([arm.springs[0] for arm in arms]),
+            np.stack([arm.springs[1] for arm in arms]),
             _contacts([arm.contacts for arm in arms]),
             chains[0].active,
             tuple(arms),
@@ -185,15 +185,13 @@ class System:
         )
 
     def springs(self, touching: Mask) -> tuple[Array, Array]:
-        """Return stiffness and damping (C, nv), of flanks where joints (C, n_c) touch them."""
-        if not touching.size:
-            return self.stiffness, self.damping
-        copies, places = np.nonzero(~touching)
+        """Return stiffness and damping (C, nv) with the flanks that joints (C, n_c) touch."""
+        copies, places = np.nonzero(touching)
         stiffness, damping = self.stiffness.copy(), self.damping.copy()
         for copy, place in zip(copies, places, strict=True):
             contact = self.contacts.at((copy, place))
-            stiffness[copy, contact.joint] -= contact.stiffness
-            damping[copy, contact.joint] -= contact.damping
+            stiffness[copy, contact.joint] += contact.stiffness
+            damping[copy, contact.joint] += contact.damping
         return stiffness, damping
 
     @property
@@ -419,7 +417,7 @@ class Trajectory:
         terms = (self.v, h, k), (self.a, h**2, k), (self.q, 1.0, k + 1), (self.v, h, k + 1), (self.a, h**2, k + 1)
         for weight, (values, unit, rows) in zip(weights[1:], terms, strict=True):
             total += weight * unit * values[rows]
-        if self.impacts is not None and (inside := self.impacts.cover(time, self.step)).any():
+        if self.impacts is not None and (inside := self.impacts.covers(time, self.step)).any():
             total[inside] = self.impacts.path._interpolated(time[inside], order)
         return total
 
@@ -432,17 +430,17 @@ class Impacts:
         path: the motion in the steps in which they do, at closer instants; two of these are the same where it jumps.
         touching: (n_c,) true for joints that are in contact at the motion's beginning.
         instants: (E,) beginnings and ends of contacts, in steps since then.
-        places: (E,) which of the contacts.
+        contacts: (E,) which of the contacts.
         met: (E,) true where a joint comes to a flank, whose damper then pushes at once.
     """
 
     path: Trajectory
     touching: Mask
     instants: Array
-    places: Indices
+    contacts: Indices
     met: Mask
 
-    def cover(self, time: Array, step: float) -> Mask:
+    def covers(self, time: Array, step: float) -> Mask:
         """Return whether instants (...) [s] are in one of these steps [s]."""
         if self.path.time.size < 2:
             return np.zeros(np.shape(time), dtype=bool)
