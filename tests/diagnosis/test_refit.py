@@ -108,6 +108,7 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
 @pytest.mark.parametrize(
     ("stiffness", "damping", "seed"),
     [
+        *((30.0, 0.3, seed) for seed in (1, 2, 3)),
         *((500.0, 2.0, seed) for seed in (1, 2, 3)),
         *((2000.0, 4.0, seed) for seed in (1, 2, 3)),
     ],

@@ -242,8 +242,9 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
             return {"radius_of_gyration": 0.1 * random.uniform()}
         case "backlash":
             share = random.uniform(0.2, 0.8)
-            # What flanks do is not the model's law: their stiffness and damping have names of their own.
-            stiffness, ratio = 1400.0 * 2.0 ** random.uniform(-1.0, 1.0), 0.5 * 2.0 ** random.uniform(-1.0, 1.0)
+            # What flanks do is not the model's law: their stiffness and damping have names of their own. From those of
+            # an elastic gear to hard ones.
+            stiffness, ratio = 28.0 * 100.0 ** random.uniform(), 0.5 * 2.0 ** random.uniform(-1.0, 1.0)
             return {"motor_share": share, "contact_stiffness": stiffness, "contact_damping_ratio": ratio}
         case "gear_elasticity":
             # Motor and hub swing against each other by about 110 rad/s, with 0.1 % to 10 % of critical damping.

@@ -367,9 +367,10 @@ class Backlash(JointEffect):
     gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
     # Typical flanks turn by a thousandth of what the link bends, and let a hub of 0.05 m l^2 rebound with a third of
-    # its speed. Little as that is, taken for granted it would be an error of the gap of a per cent or two.
-    flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 100.0, upper=1e4, in_rig_units=True)
-    flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.02, upper=20.0, in_rig_units=True)
+    # its speed. Little as that is, taken for granted it would be an error of the gap of a per cent or two. The softest
+    # are those of an elastic gear with play.
+    flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 0.5, upper=1e4, in_rig_units=True)
+    flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.002, upper=20.0, in_rig_units=True)
 
     on_drive = False
     nonsmooth = True

@@ -95,7 +95,7 @@ class Information:
         The units (c,) come first; last (c,) true for axes that the residuals do not respond to.
         """
         normal = self.normal[np.ix_(chosen, chosen)]
-        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-200))  # whose square is finite over SINGULAR
         values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
         return scale, values, vectors, values <= SINGULAR * values.max(initial=0.0)
 
