@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -36,8 +37,11 @@ from vjm.effects import (
     CoulombFriction,
     Effect,
     GearElasticity,
+    Hysteresis,
     Stribeck,
+    StructuralDamping,
     TipPayload,
+    ViscoelasticCreep,
 )
 from vjm.model.modes import linearise, modes
 from vjm.records import Recording
@@ -196,6 +200,37 @@ def test_a_joint_that_is_not_there(joint: str, arm: str) -> None:
     free = np.linalg.qr(rows[0][:, :-1])[0]  # what any initial state of the arm may do
     found, expected = (each - free @ (free.T @ each) for each in (rows[0][:, -1], expected))
     assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected)
+
+
+MEMORIES: tuple[Effect, ...] = (
+    ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.08),
+    Hysteresis(link=0, ratio=0.05, yield_angle=0.05),
+    StructuralDamping(link=0, loss_factor=0.02, longest_time_constant=20.0),
+)
+
+
+@pytest.mark.parametrize(("present", "absent"), [*permutations(MEMORIES, 2)], ids=lambda each: each.id)
+@pytest.mark.parametrize("first", [False, True])  # whether the absent one comes first among the effects
+def test_memories_that_are_not_there_beside_one_that_is(present: Effect, absent: Effect, first: bool) -> None:
+    """The derivative by the size, at zero, of an effect with internal states beside another one with such."""
+    chain, recording, state = hub()
+
+    def arm(share: float) -> Arm:
+        size, *shape = absent.coordinates
+        effects = (present, absent.at(np.r_[share * size, shape]))
+        return Arm.of(chain, effects[::-1] if first else effects)
+
+    def simulated(arm: Arm) -> Run:
+        seen = seen_by(chain, recording)
+        return simulate_runs([arm], [seen], [InitialStatePrior.of(arm, recording)], [state], 1.0)[0]
+
+    run, step = simulated(arm(0.0)), 1e-6
+    found = of_one_stretch(run, [PerturbedArm(arm(step), step)])[:, -1]
+    one, two = (simulated(arm(share)).residual for share in (0.01, 0.02))
+    expected = (3 * run.residual - 4 * one + two) / 0.02
+    # The slip has kinks wherever its joint turns round.
+    most = 0.1 if isinstance(present, Hysteresis) else 0.01
+    assert np.linalg.norm(found - expected) < most * np.linalg.norm(expected)
 
 
 def state_of(values: Array, chain: Chain, own: Arm, share: float) -> Array:

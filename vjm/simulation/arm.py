@@ -264,6 +264,12 @@ class Arm:
             return self
         return Arm(self.chain, tuple(replace(effect, smooth=True) for effect in self.effects))
 
+    def states_of(self, other: Arm) -> Indices:
+        """Return the indices (nz,) of another arm's internal states among those of this one, which has its effects."""
+        own = {effect.key: part for effect, part in zip(self.effects, self._state_slices, strict=True)}
+        parts = [np.arange(sum(self.state_counts))[own[effect.key]] for effect in other.effects]
+        return np.concatenate([np.zeros(0, dtype=np.intp), *parts])
+
     @cached_property
     def _state_rates(self) -> list[tuple[StateFunction, slice]]:
         return self._hooks(lambda effect: effect.state_rates(self.chain))

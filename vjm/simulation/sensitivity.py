@@ -165,8 +165,8 @@ class Linearization:
         ]
         by_rates = [np.zeros(z.size)] * slow_count
         by_parameters = [
-            (observed.internal_states(arm, path.q[0])[: z.size] - z) / step
-            for (arm, step), path in zip(self.perturbed, self.trajectories, strict=True)
+            (observed.internal_states(other, path.q[0])[other.states_of(self.arm)] - z) / step
+            for (other, step), path in zip(self.perturbed, self.trajectories, strict=True)
         ]
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
@@ -261,9 +261,9 @@ def _as_group(group: Sequence[Linearization]) -> Iterator[Linearization]:
 
 def _trajectories_of(group: Sequence[Linearization]) -> list[tuple[Trajectory, ...]]:
     """Return, for each linearization of the same arms, the motion for each of the perturbed ones."""
-    chain, paths = group[0].arm.chain, [member.trajectory for member in group]
+    arm, paths = group[0].arm, [member.trajectory for member in group]
     observed = [member.observed for member in group]
-    by_arm = [with_added_joints(paths, chain, arm, observed) for arm, _ in group[0].perturbed]
+    by_arm = [with_added_joints(paths, arm, other, observed) for other, _ in group[0].perturbed]
     return list(zip(*by_arm, strict=True)) if by_arm else [()] * len(group)
 
 

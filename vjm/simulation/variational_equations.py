@@ -117,8 +117,8 @@ class Motions(NamedTuple):
         stops = np.cumsum([len(path.time) for path in self.paths]).tolist()
         return [slice(stop - len(path.time), stop) for stop, path in zip(stops, self.paths, strict=True)]
 
-    def followed(self, arm: Arm) -> Self:
-        """Return the motions with the internal states that another arm's effects would have along them."""
+    def followed(self, arm: Arm, other: Arm) -> Self:
+        """Return the motions of an arm with the internal states that another one would have along them in addition."""
         longest = max(len(path.time) for path in self.paths)
         # Shorter motions are padded with their last instant.
         shown = np.stack(
@@ -126,11 +126,12 @@ class Motions(NamedTuple):
         )
         time, q, v = (values[shown.T] for values in (self.elapsed, self.q, self.v))
         start = [
-            observed.internal_states(arm, path.q[0]) for observed, path in zip(self.observed, self.paths, strict=True)
+            observed.internal_states(other, path.q[0]) for observed, path in zip(self.observed, self.paths, strict=True)
         ]
-        z = arm.follow(time, q, v, np.stack(start))
-        states = [z[: len(path.time), k] for k, path in enumerate(self.paths)]
-        return self._replace(z=np.concatenate(states))
+        states = other.follow(time, q, v, np.stack(start))
+        z = np.concatenate([states[: len(path.time), k] for k, path in enumerate(self.paths)])
+        z[:, other.states_of(arm)] = self.z  # as they are: a difference of rounding would be one over a small step
+        return self._replace(z=z)
 
 
 class _EquationsOfMotion:
@@ -454,11 +455,11 @@ def _parameter_derivatives(
     if changed.gravity != equations.gravity or not unchanged:
         forces = forces + changed.inertial_torque(motion)[:, shared] - inertial
     if sum(other_arm.state_counts) > nz:  # internal states that only the perturbed arm has follow the motion as it is
-        motion = motion.followed(other_arm)
+        motion = motion.followed(equations.arm, other_arm)
     if equations.force is not None or changed.force is not None:
         forces = forces + changed.further_torque(motion)[:, shared] - further_torque
     if nz:
-        rates = changed.state_rates(motion)[:, :nz] - state_rates
+        rates = changed.state_rates(motion)[:, other_arm.states_of(equations.arm)] - state_rates
     for part, path, before, after in zip(motion.parts, motion.paths, equations.driven, changed.driven, strict=True):
         if not np.array_equal(after.tau, before.tau, equal_nan=True):
             forces[part, chain.active] -= torque_at(after, path.time) - torque_at(before, path.time)
@@ -472,25 +473,25 @@ def _added_joints(chain: Chain, extended: Chain) -> Indices:
 
 
 def with_added_joints(
-    paths: Sequence[Trajectory], chain: Chain, arm: Arm, observed: Sequence[Observations]
+    paths: Sequence[Trajectory], arm: Arm, other: Arm, observed: Sequence[Observations]
 ) -> list[Trajectory]:
-    """Return motions with the joints that another arm has in addition, moved by the reactions to them as they are.
+    """Return motions of an arm with the joints that another one has in addition, moved by the reactions to them.
 
     To first order in their compliance. A root joint, whose spring is far stiffer than the inertia that it carries is
     heavy, turns by its reaction over the stiffness. A base, which has a mass of its own, starts at rest and swings.
     With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN, as
     it is where a reaction is not finite.
     """
-    extended = arm.chain
-    added = _added_joints(chain, extended)
+    extended = other.chain
+    added = _added_joints(arm.chain, extended)
     if not added.size:
         return list(paths)
     shared = np.delete(np.arange(extended.size), added)
     wider = [_widened(path, shared, extended.size) for path in paths]
     motion = Motions.of(wider, observed)
-    if sum(arm.state_counts) > motion.z.shape[1]:
-        motion = motion.followed(arm)
-    equations = _EquationsOfMotion(arm, motion)
+    if sum(other.state_counts) > motion.z.shape[1]:
+        motion = motion.followed(arm, other)
+    equations = _EquationsOfMotion(other, motion)
     reactions = equations.inertial_torque(motion) + equations.further_torque(motion)
     inertia = equations.mechanism.mass_matrix(np.stack([path.q[0] for path in wider]))
     movable = np.linalg.matrix_rank(inertia, hermitian=True) == extended.size
