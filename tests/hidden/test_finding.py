@@ -162,6 +162,23 @@ def test_gravity_without_which_nothing_is_followed_is_found(plant: Plant) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "others"),
+    [
+        # Gravity alone leaves so much that the discretization error cannot be told: beside both, it is no cause.
+        (("in_plane_gravity", "stiffness_drift"), ["cubic_stiffness"]),
+        (("structural_damping", "viscoelastic_creep"), ["hysteresis"]),  # either goes to zero on the way
+    ],
+    ids=lambda each: "+".join(each),
+)
+def test_two_causes_are_found_and_nothing_else(tmp_path: Path, hidden: tuple[str, ...], others: list[str]) -> None:
+    write_hidden(tmp_path, "hub", [draw(effect, 905, "hub") for effect in hidden], 905)
+    diagnosis = diagnosed(tmp_path / "experiment.toml", [*hidden, *others])
+    assert diagnosis.verdict == "named"
+    assert {cause.effect.id for cause in diagnosis.causes} == {*hidden}
+
+
+@pytest.mark.slow
 def test_what_cannot_be_told_apart_is_a_set(plant: Plant) -> None:
     """Without gravity a turned camera and an encoder's offset are the same."""
     file, _ = plant("hub", "camera_rotation", seed=13)

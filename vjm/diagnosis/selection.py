@@ -194,7 +194,9 @@ class Search:
         if family is None:
             best, fits, family = self._select_small(stages)
         self.deadline = self.options.deadline  # the last tests are made
-        best = fits[best.effect_keys] = self._continued(best)
+        if best.new_effects and not self.out_of_time:
+            self.report("converging")
+            best = fits[best.effect_keys] = continued(best, self.rig, self.deadline)
         again = corrected_again(best, self.rig, self.deadline) if whole and best.new_effects else None
         if again is not None:  # fits beside another discretization error are not to be compared with it
             best, fits = again, {again.effect_keys: again}
@@ -205,12 +207,6 @@ class Search:
         if not best.new_effects and len(best.point.runs) == len(self.whole):
             self.start = best  # beside the discretization error, or in a better minimum
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
-
-    def _continued(self, fit: TrajectoryFit) -> TrajectoryFit:
-        if not fit.new_effects or self.out_of_time:
-            return fit
-        self.report("converging")
-        return continued(fit, self.rig, self.deadline)
 
     def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
         """Add small effects that are needed beside a model corrected for its chain's discretization error.
@@ -233,6 +229,9 @@ class Search:
         if corrected is not None:  # an effect that stood in for the discretization error is not needed any more
             best = self._backward_elimination(best, fits, doubtful=True)
         best, family = self._forward_selection(best, fits, small=corrected is not None)
+        while family is None and corrected and not self.out_of_time and (corrected := self._corrected(best)):
+            fits = {corrected.effect_keys: corrected}  # others, beside no discretization error, do not compare
+            best, family = self._forward_selection(corrected, fits, small=True)
         stages[-1] = best, fits
         return best, fits, family or self.screen(best)
 
@@ -352,7 +351,7 @@ class Search:
         """Add effects to a model while they are needed; return it, and the score tests beside it.
 
         None instead of tests where the model leaves only noise, or what a finer chain does not leave, so that none were
-        made; with `small`, they always are.
+        made; with `small`, where an effect brings it so close that the discretization error must be measured first.
         """
         while small or not (self._explains_all(best, best) or self._finer_chain_explains(best)):
             family = self.screen(best)
@@ -367,6 +366,8 @@ class Search:
             best = self._backward_elimination(trial, fits)
             added = best.effect_keys - self.p_values.keys()
             self.p_values |= {key: min(family.p_value(key), self._first_tests.p_value(key)) for key in added}
+            if small and self._is_measurable(best):
+                break
         return best, None
 
     def _best_addition(
@@ -394,8 +395,9 @@ class Search:
             # first segments only: longer ones have better linear predictions and slower fits.
             return not followed or (compliant and base is not None) or 2 * screened.statistics[k] > gained
 
-        for batch in _batches(sorted(needed, key=largest_gain, reverse=True), self.workers.count):
-            promising = [self._with_candidates(best, family, [k]) for k in batch if promises(k)]
+        order, count = sorted(needed, key=largest_gain, reverse=True), self.workers.count
+        for first in range(0, len(order), count):  # fitted side by side
+            promising = [self._with_candidates(best, family, [k]) for k in order[first : first + count] if promises(k)]
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
             trial = self._refined(best, trial, fits) if promising else trial
             if self._explains_all(trial, best):
@@ -501,8 +503,8 @@ class Search:
         sufficient = known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
         if sufficient or self.out_of_time:
             return known
-        reduced = refit(fit, remaining, self.stop(max_chi2))
-        best = min(filter(None, (reduced, known)), key=lambda fit: fit.chi2, default=None)
+        trials = filter(None, (refit(fit, remaining, self.stop(max_chi2)), known))
+        best = min(trials, key=lambda fit: fit.chi2, default=None)
         if best is not None:
             fits[best.effect_keys] = best
         return best
@@ -540,11 +542,9 @@ class Search:
 
     def _close_second(self, best: TrajectoryFit, fits: Fits) -> TrajectoryFit | None:
         """Return the next best model of as many effects, if it is worse by less than the best one's excess of chi^2."""
-        unexplained = best.chi2 - best.point.expected_chi2
-        candidates = [
-            fit for names, fit in fits.items() if len(names) == len(best.effect_keys) and names != best.effect_keys
-        ]
-        second = min(candidates, key=self.options.criterion, default=None)
+        unexplained, present = best.chi2 - best.point.expected_chi2, best.effect_keys
+        rivals = [fit for names, fit in fits.items() if len(names) == len(present) and names != present]
+        second = min(rivals, key=self.options.criterion, default=None)
         if second is None or self._explains_all(best, best) or second.chi2 - best.chi2 > unexplained:
             return None
         return second
@@ -580,6 +580,11 @@ class Search:
         fits[finer.effect_keys] = finer
         return finer
 
+    def _is_measurable(self, fit: TrajectoryFit) -> bool:
+        """Return True if a model's discretization error is not known, and no smaller than what else is missing."""
+        known = all(run.observed.discretization_offset is not None for run in fit.point.runs)
+        return not known and fit.misfit <= CLOSE_MISFIT and not is_nonsmooth(fit.effects)
+
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
         """Refit a model with its chain's discretization error corrected; None where that cannot be measured.
 
@@ -593,8 +598,3 @@ class Search:
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
         return tuple(result.last_tests.screen.effects[k] for k in self.needed(result.best, result.last_tests))
-
-
-def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:
-    """Split candidates into groups of so many that are fitted side by side."""
-    return [chosen[k : k + count] for k in range(0, len(chosen), count)]
