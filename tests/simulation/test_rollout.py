@@ -130,10 +130,13 @@ def test_divergence_is_said_with_its_time_and_remedy() -> None:
     assert caught.value.remedy
 
 
-def test_a_state_that_is_no_number_is_divergence() -> None:
-    chain = arm_of(steel_link(2))
-    with pytest.raises(SimulationDivergedError):
-        rollout([chain], recording_of(chain, np.arange(21) / 20.0), [[np.nan, 0.0]], [[0.0, 0.0]])
+@pytest.mark.parametrize("chain", [arm_of(steel_link(2)), two_link_arm()], ids=["clamped", "two links"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_a_state_that_is_no_number_is_divergence(chain: Chain, value: float) -> None:
+    """Nor are the matrices of an arm with an elbow, whose inertia depends on its angle."""
+    q = np.full((1, chain.size), value)
+    with pytest.raises(SimulationDivergedError), np.errstate(invalid="ignore", over="ignore"):
+        rollout([chain], recording_of(chain, np.arange(21) / 20.0), q, 0.0 * np.ones(q.shape))
 
 
 def test_a_single_instant_is_its_initial_state() -> None:

@@ -327,7 +327,9 @@ class _LinearPropagator:
         """Return those at angles x (C, >= nv)."""
         if self.current is not None and not (self.elbows.size or self.touching.size):
             return self.current[1]
-        places = np.concatenate([np.round(x[:, self.elbows] / self.grid), self.touching], axis=1)
+        angles = x[:, self.elbows]
+        angles = np.where(np.abs(angles) < _DIVERGED, angles, 0.0)  # of what has diverged, which is noticed afterwards
+        places = np.concatenate([np.round(angles / self.grid), self.touching], axis=1)
         if self.current is None or self.current[0] != places.tobytes():
             self.current = places.tobytes(), self._gathered(places)
         return self.current[1]
