@@ -56,8 +56,8 @@ def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() ->
     assert all(parameter.std is None for parameter in unknown.values())
 
 
-def model(effects: tuple[Any, ...], chi2: float, converged: bool = True) -> Any:
-    """A fit of effects whose residuals have a mean square of chi2 / 1000."""
+def model(effects: tuple[Any, ...], chi2: float, converged: bool = True, count: int = 1000) -> Any:
+    """A fit of effects to a number of values."""
     x = np.concatenate([np.zeros(0), *(effect.coordinates for effect in effects)])
     stops = np.cumsum([effect.coordinates.size for effect in effects], dtype=int).tolist()
     parts = tuple(slice(stop - effect.coordinates.size, stop) for effect, stop in zip(effects, stops, strict=True))
@@ -66,9 +66,9 @@ def model(effects: tuple[Any, ...], chi2: float, converged: bool = True) -> Any:
         effects=effects,
         effect_keys=frozenset(effect.key for effect in effects),
         estimate=x,
-        point=SimpleNamespace(problem=problem),
+        point=SimpleNamespace(problem=problem, count=count, expected_chi2=count),
         chi2=chi2,
-        misfit=float(np.sqrt(chi2 / 1000)),
+        misfit=float(np.sqrt(chi2 / count)),
         converged=converged,
     )
 
@@ -116,16 +116,19 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     assert ("residual before the change" in causes[1].evidence) == (reference_misfit > 1)
 
 
-def test_a_refit_out_of_time_is_no_measure_of_what_is_missed() -> None:
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_a_refit_out_of_time_is_no_measure_of_what_is_missed(share: float) -> None:
+    """One to segments is, be they only some of them."""
     payload = TipPayload(link=0, mass=0.01)
     best = model((payload,), 1000.0)
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: 1e-9)
     for converged, missed in ((True, 8_999_000.0), (False, 6000.0)):
         search = SimpleNamespace(start=None, refit_without=lambda *_, done=converged: model((), 9e6, done))
         result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
-        result.segment_fits = {frozenset(): model((), 7000.0)}
+        result.segment_fits = {frozenset(): model((), share * 7000.0, count=int(share * 1000))}
         (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
-        assert cause.decrease == missed
+        assert cause.decrease == pytest.approx(missed)
+        assert not cause.evidence.startswith("its fit ended")
 
 
 def test_a_cause_whose_fit_was_no_better_than_that_without_it_explains_nothing() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -9,8 +10,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from vjm.diagnosis.residual_tests import residual_test
+from tests.diagnosis import rigs
+from vjm.diagnosis.residual_tests import describe_residual, residual_test
+from vjm.effects import Effect, JointSpring, MarkerOffset
+from vjm.identification.trajectory_fit import fit_trajectory
 from vjm.records import Array, Link, Recording, Rig
+from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
@@ -75,3 +80,25 @@ def test_gaps_and_short_recordings_are_borne() -> None:
     short = run_of(markers[:30], run.observed.recording.theta[:30])
     assert residual_test([short]).bands == ()
     assert residual_test([short]).p_value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("hidden", "expected"),
+    [
+        (
+            JointSpring(link=0, stiffness=0.002),
+            r"it resembles a torque at the joint .*, odd in position \(spring\), .*",
+        ),
+        (
+            MarkerOffset(marker=1, across=0.003),
+            "no torque or bending moment of a simple law would explain more than .*",
+        ),
+    ],
+    ids=["spring", "marker"],
+)
+def test_a_force_is_named_that_explains_most_of_a_residual(hidden: Effect, expected: str) -> None:
+    chain = rigs.chain_of()
+    point = rigs.point_of(chain, (), rigs.recorded(Arm.of(chain, (hidden,)), 1))
+    text = describe_residual(fit_trajectory(point.problem, point.x).point, (), rigs.RIG)
+    assert re.fullmatch(expected, text)
+    assert (int(text.split()[-4]) >= 50) is text.startswith("it resembles")

@@ -268,7 +268,8 @@ def test_page_has_the_verdict_first(diagnosis: Diagnosis) -> None:
     page = result_page(diagnosis, pictures).html()
     assert_self_contained(page)
     assert len(page) < 3e6
-    order = ['class="headline"', "<svg", "Symptoms</h2>"]
+    symptoms = "Symptoms without causes" if diagnosis.causes else "Symptoms"
+    order = ['class="headline"', "<svg", f"{symptoms}</h2>"]
     order += ["Causes</h2>"] if diagnosis.causes else []
     order += ['class="plots"', "Candidates</h2>", "Method</h2>"]
     places = [page.index(each) for each in order]

@@ -154,7 +154,9 @@ def estimate_causes(
         best.point.problem.reference_effects :
     ]:
         reduced = _model_without(effect, result, search)
-        decrease = predicted_increase(best, effect) if reduced is None else max(reduced.chi2 - best.chi2, 0.0)
+        decrease = (
+            predicted_increase(best, effect) if reduced is None else max(_chi2_of(reduced, best) - best.chi2, 0.0)
+        )
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / inflation)
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
         if reduced is None:
@@ -179,9 +181,14 @@ def _model_without(effect: Effect, result: SearchResult, search: Search) -> Traj
         reduced = search.start
     shorter = result.segment_fits.get(names)
     # A refit that ran out of time has not lost yet what it can lose. Shorter segments leave less than longer ones.
-    if reduced is not None and not reduced.converged and shorter is not None and shorter.chi2 < reduced.chi2:
-        return shorter
+    if reduced is not None and not reduced.converged and shorter is not None:
+        return min(reduced, shorter, key=lambda fit: _chi2_of(fit, best))
     return reduced
+
+
+def _chi2_of(fit: TrajectoryFit, best: TrajectoryFit) -> float:
+    """Return a model's chi^2 in the recordings of the best one; in proportion where it was fitted to some segments."""
+    return fit.chi2 if fit.point.count == best.point.count else fit.misfit**2 * best.point.expected_chi2
 
 
 def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:

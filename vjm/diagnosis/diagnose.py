@@ -197,7 +197,7 @@ def _findings(
         baseline_misfit=baseline.fit.misfit,
         reference_misfit=reference_misfit,
         changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
-        decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
+        decrease=(_without_effects(result, search).misfit / best.misfit) ** 2 - 1,
         negligible=search.negligible(best),
         proposals=propose_recordings(after, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),

@@ -140,14 +140,14 @@ class _Probe(LinkEffect):
 def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> str:
     """Describe the generic force that explains most of a fit's residuals, beside its model's effects.
 
-    The text is empty where none explains one per cent.
+    It is named where it explains more than all the rest.
     """
     probes = [probe for probe in _Probe().variants(rig, []) if probe.bending or probe.link in rig.active_links]
     statistics = Screen.of(point, effects, probes).statistics
     best = int(np.argmax(statistics))
     percent, probe = 100 * statistics[best] / max(point.chi2 - point.expected_chi2, 1.0), probes[best]
-    if percent < 1:
-        return ""
+    if percent < 50:
+        return f"no torque or bending moment of a simple law would explain more than {np.ceil(percent):.0f} % of it"
     force = "a bending moment in" if probe.bending else "a torque at the joint of"
     resemblance = f"{force} {rig.links[probe.link or 0].name}, {_SHAPES[probe.shape][0]}"
     return f"it resembles {resemblance}, which would explain {min(percent, 100):.0f} % of it"

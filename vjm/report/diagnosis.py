@@ -64,10 +64,11 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         points += _next_points(diagnosis)
     cause_tables = [_cause_table(diagnosis)] if diagnosis.causes else []
     recordings, carried = _recording_table(diagnosis), carried_points(diagnosis.model)
+    symptom_heading = "Symptoms without causes" if diagnosis.causes else "Symptoms"
     animation = None
     if pictures is None:
         sections = [
-            Section("Symptoms", _symptom_points(diagnosis, 4)),
+            Section(symptom_heading, _symptom_points(diagnosis, 4)),
             Section(tables=[*cause_tables, _candidate_table(diagnosis, 6), recordings]),
             Section(points=carried),
         ]
@@ -85,7 +86,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         notes = [("Note", note) for note in diagnosis.notes]
         gain_heading = "Gain" if diagnosis.causes else "Fit per recording"
         sections = [
-            Section("Symptoms", symptoms, pictures=symptom_figures[:1]),
+            Section(symptom_heading, symptoms, pictures=symptom_figures[:1]),
             Section("Symptoms in detail", pictures=symptom_figures[1:], folded=True),
             Section("Causes", tables=cause_tables, pictures=named(pictures, "cause")),
             Section("Indistinguishable causes", _alternative_points(diagnosis)),
