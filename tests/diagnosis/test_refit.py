@@ -617,6 +617,7 @@ def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
     # explains nearly all of it.
     assert wrong.chi2 > 1e5
     assert search.least_decrease(wrong) == search.negligible(wrong) == pytest.approx(1e4)
+    assert search.negligible(wrong, 1e-3) == pytest.approx(max(1e3, search.options.negligible(wrong.chi2)))
     # What would be left is known to the scatter of chi^2 only.
     excess, count = wrong.chi2 - wrong.point.expected_chi2, wrong.point.count
     largest, limit = search.least_decrease(wrong, np.array([0.0, excess - 6e3]))

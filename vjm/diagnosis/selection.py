@@ -300,13 +300,13 @@ class Search:
         self.deadline = min(self.deadline, self.options.deadline - (monotonic() - began) / share)
         return replace(family, untestable=candidates.untestable)
 
-    def negligible(self, fit: TrajectoryFit) -> float:
+    def negligible(self, fit: TrajectoryFit, rest: float = _NONSMOOTH_REST) -> float:
         """Return the chi^2 that a model may leave beyond noise: a share of what remains, as large causes come first.
 
-        Fits of stick-slip and play may leave a share of what they explain.
+        Fits of stick-slip and play may leave a share of what they explain, the rest.
         """
         explained = sum(self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth)
-        return max(self.options.negligible(fit.chi2), _NONSMOOTH_REST * explained)
+        return max(self.options.negligible(fit.chi2), rest * explained)
 
     def least_decrease(self, fit: TrajectoryFit, gained: Array | float = 0.0) -> Array:
         """Return the decrease of chi^2 from which a further effect matters beside a model.
