@@ -167,7 +167,7 @@ def test_gravity_without_which_nothing_is_followed_is_found(plant: Plant) -> Non
     [
         # Gravity alone leaves so much that the discretization error cannot be told: beside both, it is no cause.
         (("in_plane_gravity", "stiffness_drift"), ["cubic_stiffness"]),
-        (("structural_damping", "viscoelastic_creep"), ["hysteresis"]),  # either goes to zero on the way
+        (("structural_damping", "viscoelastic_creep"), ["hysteresis"]),  # the first goes to zero on the way
     ],
     ids=lambda each: "+".join(each),
 )
