@@ -17,7 +17,7 @@ from vjm.diagnosis.noise import Noise
 from vjm.effects import BUILTIN
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import DiscretizationBias, with_offset
+from vjm.identification.discretization import DiscretizationBias, first_order_bias, with_offset
 from vjm.identification.outliers import trimmed
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
@@ -84,13 +84,42 @@ def corrected_for_discretization(fit: TrajectoryFit, rig: Rig, deadline: float =
     return None if bias is None else bias.corrected(fit, CLOSE_MISFIT, deadline)
 
 
-def corrected_again(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit | None:
+def corrected_to_first_order(
+    fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float = np.inf
+) -> TrajectoryFit | None:
+    """Return a model with stick-slip or play beside its chain's discretization error, to first order.
+
+    Further corrections need not settle, where a joint only just sticks. Where a beam's chi^2 is lower by no more than
+    what is negligible, only the shift of the parameters is known of the result: a fit takes several times as long.
+
+    None where the error cannot be told, where what a beam leaves is more than noise and more than the chain leaves, or
+    after a reading of `time.monotonic`, the deadline [s].
+    """
+    bias = None if monotonic() > deadline else first_order_bias(fit.point, rig)
+    if bias is None or bias.decrease <= negligible:
+        return None if bias is None else replace(fit, shift=bias.shift)
+    point = with_offset(fit.point, bias.offset)
+    states = [run.state for run in point.runs]
+    try:
+        beam = fit_trajectory(point.problem, point.x, None, states, stop=lambda *_: monotonic() > deadline)
+    except (SimulationDivergedError, InsufficientDataError):
+        return None
+    if beam.chi2 > max(fit.chi2, beam.point.noise_limit):
+        return None
+    runs = zip(beam.point.runs, fit.point.runs, bias.offset, strict=True)
+    offset = [after.predicted - before.predicted + difference for after, before, difference in runs]
+    return replace(fit, point=with_offset(fit.point, offset), shift=beam.point.x - fit.point.x)
+
+
+def corrected_again(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
     """Measure the discretization error beside the effects of a model, and refit; None where that cannot be done.
 
     Without these effects, initial states of a wrong model took their part, which finer chains do not take over: what
-    they lose looks like a discretization error, and biases damping.
+    they lose looks like a discretization error, and biases damping. With stick-slip or play to first order.
     """
-    if is_nonsmooth(fit.effects) or monotonic() > deadline:
+    if is_nonsmooth(fit.effects):
+        return corrected_to_first_order(fit, rig, negligible, deadline)
+    if monotonic() > deadline:
         return None
     point = with_offset(fit.point, None)
     try:

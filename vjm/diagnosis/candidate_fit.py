@@ -20,7 +20,6 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
-from vjm.identification.discretization import first_order_bias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
 from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
@@ -195,20 +194,18 @@ def transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
     return shift
 
 
-def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
+def continued(fit: TrajectoryFit, deadline: float) -> TrajectoryFit:
     """Continue a fit that was stopped early until it has converged, if that lowers chi^2.
 
-    Of one with joints that stick or touch the discretization shift is then measured, by one step: a refit beside the
-    difference takes several times as long. After the deadline, as of `StoppingRule`, it ends where it stands.
+    After the deadline, as of `StoppingRule`, it ends where it stands.
     """
-    sticking, nonsmooth = any(run.arm.has_dry_friction for run in fit.point.runs), is_nonsmooth(fit.effects)
-    if sticking or not (fit.converged or nonsmooth):
+    sticking = any(run.arm.has_dry_friction for run in fit.point.runs)
+    if sticking or not (fit.converged or is_nonsmooth(fit.effects)):
         fit = _better_from(fit.point, fit, deadline)
     if sticking and monotonic() <= deadline:
         beyond = _multistart(fit.point, only_at_kinks=True, deadline=deadline)
         fit = _better_from(replace(fit.point, runs=beyond), fit, deadline)
-    bias = first_order_bias(fit.point, rig) if nonsmooth and monotonic() <= deadline else None
-    return fit if bias is None else replace(fit, shift=bias.shift)
+    return fit
 
 
 def _better_from(start: Point, fit: TrajectoryFit, deadline: float) -> TrajectoryFit:

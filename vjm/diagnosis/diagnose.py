@@ -43,10 +43,6 @@ from vjm.simulation.run import all_followed
 from vjm.text import number
 from vjm.threads import on_one_thread
 
-# Share of the decrease of chi^2 by stick-slip or play that a finished fit may leave without anything being missing. Of
-# the recordings of seed 905 in `benchmarks/hidden_effects.md` it leaves less than 1e-4.
-_FINISHED_REST = 1e-3
-
 
 @on_one_thread
 def diagnose(
@@ -202,7 +198,7 @@ def _findings(
         reference_misfit=reference_misfit,
         changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
         decrease=(_without_effects(result, search).misfit / best.misfit) ** 2 - 1,
-        negligible=search.negligible(best, _FINISHED_REST),
+        negligible=search.options.negligible(best.chi2),
         proposals=propose_recordings(after, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,

@@ -18,7 +18,7 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_again, corrected_for_discretization
+from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_again, corrected_for_discretization, corrected_to_first_order
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     LEAST_SHARE,
@@ -47,14 +47,12 @@ from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import first_order_bias, refined
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
-from vjm.records import Array, Rig
+from vjm.records import Rig
 from vjm.simulation.run import all_followed
 from vjm.text import ratio
 
 Report = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
-
-_NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that their fit may leave at most
 
 
 @dataclass(frozen=True)
@@ -173,7 +171,7 @@ class Search:
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
             # is in none in these, within a standard error, will not find one in longer ones.
             settled = best.converged or best.predicted_decrease < 1.0
-            may_lengthen = settled and self._explains_all(best, best)
+            may_lengthen = settled and self._leaves_noise(best)
             if is_nonsmooth(best.effects) and self._segments_to_add(duration) is None and not may_lengthen:
                 break
             longer = self._lengthened(best, duration)
@@ -196,11 +194,12 @@ class Search:
         self.deadline = self.options.deadline  # the last tests are made
         if best.new_effects and not self.out_of_time:
             self.report("converging")
-            best = fits[best.effect_keys] = continued(best, self.rig, self.deadline)
-        again = corrected_again(best, self.rig, self.deadline) if whole and best.new_effects else None
-        if again is not None:  # fits beside another discretization error are not to be compared with it
-            best, fits = again, {again.effect_keys: again}
-            family = self.screen(best)
+            best = fits[best.effect_keys] = continued(best, self.deadline)
+            if whole or (is_nonsmooth(best.effects) and best.shift is None):
+                again = corrected_again(best, self.rig, self.options.negligible(best.chi2), self.deadline) or best
+                if again.point is not best.point:  # beside another discretization error others do not compare
+                    fits, family = {}, self.screen(again)
+                best = fits[best.effect_keys] = again
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
@@ -221,8 +220,9 @@ class Search:
         fit, fits = stages[-1]
         if self.out_of_time:
             return fit, fits, self.screen(fit)
-        corrected = self._corrected(fit)
-        while corrected is None and len(stages) > 1 and not self._explains_all(fit, fit):
+        # That of stick-slip and play, which takes longer, is corrected where it may stand in for an effect.
+        corrected = fit if is_nonsmooth(fit.effects) else self._corrected(fit)
+        while corrected is None and len(stages) > 1 and not self._leaves_noise(fit):
             stages.pop()
             fit, fits = stages[-1]
         best = fits[fit.effect_keys] = corrected or fit
@@ -300,32 +300,6 @@ class Search:
         self.deadline = min(self.deadline, self.options.deadline - (monotonic() - began) / share)
         return replace(family, untestable=candidates.untestable)
 
-    def negligible(self, fit: TrajectoryFit, rest: float = _NONSMOOTH_REST) -> float:
-        """Return the chi^2 that a model may leave beyond noise: a share of what remains, as large causes come first.
-
-        Fits of stick-slip and play may leave a share of what they explain, the rest.
-        """
-        explained = sum(self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth)
-        return max(self.options.negligible(fit.chi2), rest * explained)
-
-    def least_decrease(self, fit: TrajectoryFit, gained: Array | float = 0.0) -> Array:
-        """Return the decrease of chi^2 from which a further effect matters beside a model.
-
-        It is what is negligible; less beside stick-slip and play, if that is more than would be left beyond noise. What
-        their fits leave must not be taken for another effect, but an effect that explains most of it is one. What would
-        be left, x, is known to the scatter sqrt(2 n + 4 x) of a noncentral chi^2: its upper limit counts, at a
-        confidence of 95 %.
-
-        Args:
-            fit: the model.
-            gained: (...) decreases of chi^2 by the effect that are not in the model yet.
-        """
-        excess, z = np.asarray(fit.chi2 - fit.point.expected_chi2 - gained, dtype=np.float64), norm.ppf(0.95)
-        # The root of x = excess + z sqrt(2 n + 4 x).
-        limit = excess + 2 * z**2 + z * np.sqrt(np.maximum(2 * fit.point.count + 4 * excess + 4 * z**2, 0.0))
-        minimum = self.options.negligible(fit.chi2)
-        return np.asarray(np.clip(limit, minimum, max(minimum, self.negligible(fit))), dtype=np.float64)
-
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
 
@@ -333,7 +307,7 @@ class Search:
         """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
         significant = family.p_values_for(unit) < self.options.alpha
-        large = screened.statistics > self.least_decrease(fit, screened.statistics)
+        large = screened.statistics > self.options.negligible(fit.chi2)
         matters = large | (not all_followed(fit.point.runs))
         return screened.best_variants(np.flatnonzero(significant & matters).tolist())
 
@@ -353,10 +327,17 @@ class Search:
         None instead of tests where the model leaves only noise, or what a finer chain does not leave, so that none were
         made; with `small`, where an effect brings it so close that the discretization error must be measured first.
         """
-        while small or not (self._explains_all(best, best) or self._finer_chain_explains(best)):
+        while small or not (self._leaves_noise(best) or self._finer_chain_explains(best)):
             family = self.screen(best)
             self._first_tests = self._first_tests or family
             needed = self.needed(best, family) if len(best.new_effects) < self.options.max_effects else []
+            if small and needed and is_nonsmooth(best.effects) and self._is_measurable(best):
+                corrected = self._corrected(best)
+                if corrected is not None:
+                    best = corrected
+                    fits.clear()  # others, beside no discretization error, do not compare
+                    fits[best.effect_keys] = best
+                    continue
             trial = self._best_addition(best, family, needed, fits) if needed else None
             if trial is None or not self._matters(best, trial):
                 return best, family
@@ -366,7 +347,7 @@ class Search:
             best = self._backward_elimination(trial, fits)
             added = best.effect_keys - self.p_values.keys()
             self.p_values |= {key: min(family.p_value(key), self._first_tests.p_value(key)) for key in added}
-            if small and self._is_measurable(best):
+            if small and not is_nonsmooth(best.effects) and self._is_measurable(best):
                 break
         return best, None
 
@@ -400,12 +381,12 @@ class Search:
             promising = [self._with_candidates(best, family, [k]) for k in order[first : first + count] if promises(k)]
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
             trial = self._refined(best, trial, fits) if promising else trial
-            if self._explains_all(trial, best):
+            if self._leaves_noise(trial):
                 return trial
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
         if trial is not None and any(effect.adds_joint(best.point.chain) for effect in added):
             trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.deadline)
-        if base is not None and len(best.new_effects) == 1 and not self._explains_all(trial, best):
+        if base is not None and len(best.new_effects) == 1 and not self._leaves_noise(trial):
             trial = self._best_fit(base, self._pairs(base, best), trial, fits)
         return trial
 
@@ -452,12 +433,9 @@ class Search:
         sized = [starting_effect(*start, fit.point.chain) for start in starts]
         return (*fit.effects, *sized)
 
-    def _explains_all(self, fit: TrajectoryFit | None, reduced: TrajectoryFit) -> bool:
-        """Return True if only noise is left, within five standard deviations, or what stick-slip or play may leave."""
-        if fit is None:
-            return False
-        allowed = _NONSMOOTH_REST * (reduced.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
-        return bool(fit.chi2 < fit.point.noise_limit + allowed)
+    def _leaves_noise(self, fit: TrajectoryFit | None) -> bool:
+        """Return True if a model leaves only noise, within five standard deviations."""
+        return fit is not None and bool(fit.chi2 < fit.point.noise_limit)
 
     def _finer_chain_explains(self, fit: TrajectoryFit) -> bool:
         """Return True if only noise would be left of a finer chain, to first order."""
@@ -468,15 +446,14 @@ class Search:
         return bias is not None and fit.chi2 - bias.decrease < fit.point.noise_limit
 
     def _matters(self, reduced: TrajectoryFit, full: TrajectoryFit) -> bool:
-        gained = reduced.chi2 - full.chi2
-        return bool(gained > self.least_decrease(reduced, gained))
+        return bool(reduced.chi2 - full.chi2 > self.options.negligible(reduced.chi2))
 
     def _backward_elimination(self, fit: TrajectoryFit, fits: Fits, doubtful: bool = False) -> TrajectoryFit:
         """Drop effects that the others make needless, or `doubtful` ones, which a linear model does without."""
         for effect in fit.new_effects if doubtful or len(fit.new_effects) > 1 else ():
-            if doubtful and predicted_increase(fit, effect) > 3 * self.least_decrease(fit):
+            if doubtful and predicted_increase(fit, effect) > 3 * self.options.negligible(fit.chi2):
                 continue
-            largest = fit.chi2 + max(self.options.least_share * fit.chi2, self.negligible(fit))
+            largest = fit.chi2 * (1 + self.options.least_share)
             reduced = self.refit_without(fit, effect, fits, largest)
             if reduced is not None and not self._matters(reduced, fit):
                 return self._backward_elimination(reduced, fits, doubtful)
@@ -545,7 +522,7 @@ class Search:
         unexplained, present = best.chi2 - best.point.expected_chi2, best.effect_keys
         rivals = [fit for names, fit in fits.items() if len(names) == len(present) and names != present]
         second = min(rivals, key=self.options.criterion, default=None)
-        if second is None or self._explains_all(best, best) or second.chi2 - best.chi2 > unexplained:
+        if second is None or self._leaves_noise(best) or second.chi2 - best.chi2 > unexplained:
             return None
         return second
 
@@ -568,14 +545,14 @@ class Search:
         In segments, where the discretization error is not measured, further effects would stand in for it. It is tried
         where the model explains most of what the reduced one leaves.
         """
-        if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._explains_all(fit, reduced):
+        if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._leaves_noise(fit):
             return fit
         left, before = (model.chi2 - model.point.expected_chi2 for model in (fit, reduced))
         if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.out_of_time:
             return fit
         self.report("refining the chain")
         finer = refined(fit, self.rig, self.stop(fit.point.noise_limit))
-        if finer is None or not self._explains_all(finer, reduced):
+        if finer is None or not self._leaves_noise(finer):
             return fit
         fits[finer.effect_keys] = finer
         return finer
@@ -583,16 +560,18 @@ class Search:
     def _is_measurable(self, fit: TrajectoryFit) -> bool:
         """Return True if a model's discretization error is not known, and no smaller than what else is missing."""
         known = all(run.observed.discretization_offset is not None for run in fit.point.runs)
-        return not known and fit.misfit <= CLOSE_MISFIT and not is_nonsmooth(fit.effects)
+        known = known or (is_nonsmooth(fit.effects) and fit.shift is not None)
+        return not known and fit.misfit <= CLOSE_MISFIT and not self.out_of_time
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
         """Refit a model with its chain's discretization error corrected; None where that cannot be measured.
 
-        Models with stick-slip or play are returned as they are: of stick-slip it is measured at the end (`continued`).
+        One with stick-slip or play is fitted until it has converged before.
         """
-        if is_nonsmooth(fit.effects):
-            return fit
         self.report("measuring the discretization error")
+        if is_nonsmooth(fit.effects):
+            fit = continued(fit, self.deadline)
+            return corrected_to_first_order(fit, self.rig, self.options.negligible(fit.chi2), self.deadline)
         return corrected_for_discretization(fit, self.rig, self.deadline)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:

@@ -19,7 +19,7 @@ from vjm.effects.effect import (
     magnitude,
     shape_parameter,
 )
-from vjm.records import Array, Recording
+from vjm.records import Array, Recording, Rig
 
 # In the link's own unit of time T: the step under dry friction (angles of a hub that slews and stops are 0.2 urad off,
 # `docs/method.md`), and by how much the joint's rate changes between instants at which derivatives are taken, over
@@ -369,7 +369,9 @@ class Backlash(JointEffect):
     # Typical flanks turn by a thousandth of what the link bends, and let a hub of 0.05 m l^2 rebound with a third of
     # its speed. Little as that is, taken for granted it would be an error of the gap of a per cent or two. The softest
     # are those of an elastic gear with play.
-    flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 0.5, upper=1e4, in_rig_units=True)
+    flank_stiffness: float = shape_parameter(
+        "N m/rad", 1000.0, 0.5, upper=1e4, grid=(1000.0, 100.0, 10.0), in_rig_units=True
+    )
     flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.002, upper=20.0, in_rig_units=True)
 
     on_drive = False
@@ -381,6 +383,14 @@ class Backlash(JointEffect):
     )
     reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
     distinguishing_experiment = "a marker on the hub, and slow motion with reversals"
+
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """Return an instance for each joint and stiffness of the flanks, all with the same damping ratio."""
+        started: list[Self] = []
+        for variant in super().variants(rig, recordings):
+            gap, motor_share, stiffness, _ = variant.coordinates  # the last two are logarithms
+            started.append(variant.at(np.array([gap, motor_share, stiffness, stiffness / 2])))
+        return tuple(started)
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with the stiff flanks in contact for good; `contact` makes the gap."""

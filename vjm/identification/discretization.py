@@ -26,6 +26,7 @@ from vjm.simulation.run import Run, simulate_runs
 class FirstOrderBias(NamedTuple):
     """Difference between a beam and a fitted chain, by one Gauss-Newton step beside that of their predictions."""
 
+    offset: tuple[Array, ...]  # (N,) for each recording, the beam's predictions less the chain's [m, rad]
     shift: Array  # (p,) the beam's coordinates less the chain's
     decrease: float  # of chi^2, by what the chain's predictions lack
 
@@ -41,7 +42,7 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
     try:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
         factor = _extrapolation(point)
-        offset = [factor * (fine - run.predicted) for fine, run in zip(predicted, coarse.runs, strict=True)]
+        offset = tuple(factor * (fine - run.predicted) for fine, run in zip(predicted, coarse.runs, strict=True))
         free, change, decrease = ~point.held, np.zeros(point.x.size), 0.0
         for sign, shifted in ((1, with_offset(coarse, offset)), (-1, coarse)):
             problem = shifted.reduced()[0].of_unknowns(free)
@@ -49,7 +50,7 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
             decrease -= sign * problem.least
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    return FirstOrderBias(change, decrease)
+    return FirstOrderBias(offset, change, decrease)
 
 
 @dataclass(frozen=True)
