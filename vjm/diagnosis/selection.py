@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from time import monotonic
 
 import numpy as np
@@ -379,6 +380,9 @@ class Search:
         order, count = sorted(needed, key=largest_gain, reverse=True), self.workers.count
         for first in range(0, len(order), count):  # fitted side by side
             promising = [self._with_candidates(best, family, [k]) for k in order[first : first + count] if promises(k)]
+            if base is not None:
+                restarted = list(filter(None, (self._from_base(base, best, effects) for effects in promising)))
+                trial = self._best_fit(base, restarted, trial, fits) if restarted else trial
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
             trial = self._refined(best, trial, fits) if promising else trial
             if self._leaves_noise(trial):
@@ -396,6 +400,21 @@ class Search:
         """Fit models from a start, and return the best of them and of the best so far."""
         trials = self.fit_models(start, steps, np.inf if best is None else best.chi2, fits)
         return min([*trials, *([] if best is None else [best])], key=self.options.criterion, default=None)
+
+    def _from_base(self, base: TrajectoryFit, best: TrajectoryFit, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Return a model's effects as the model without effects starts them, if the best model misleads; else none.
+
+        Beside a model that lacks something, the flanks of a play or the speed of a Stribeck friction go to a bound,
+        from where no step leads to the right ones.
+        """
+        held = best.point.held
+        misleads = any(effect.nonsmooth and held[best.part_of(effect)].any() for effect in best.new_effects)
+        if not misleads or self._first_tests is None:
+            return ()
+        screen, new = self._first_tests.screen, effects[base.point.problem.reference_effects :]
+        variants = [[k for k, other in enumerate(screen.effects) if other.key == effect.key] for effect in new]
+        chosen = max(product(*variants), key=screen.decrease, default=())
+        return self._with_candidates(base, self._first_tests, chosen) if chosen else ()
 
     def fit_models(
         self, start: TrajectoryFit, models: Sequence[Sequence[Effect]], max_chi2: float, fits: Fits
