@@ -130,6 +130,31 @@ def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, d
         assert abs(size.value - truth.values[name]) < 3 * size.std, name
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_dry_friction_is_fitted_beside_the_error_of_a_coarse_chain(seed: int) -> None:
+    """Of an arm with twelve virtual joints, by a model with three."""
+    truth = CoulombFriction(link=0, torque=0.008)
+    found = refit(in_segments(recorded(Arm.of(chain_of(12), (truth,)), seed)), [truth])
+    assert found is not None
+    fit = continued(found, np.inf)
+    bias = first_order_bias(fit.point, RIG)
+    assert bias is not None
+    corrected, shifted = (corrected_to_first_order(fit, RIG, bias.decrease * share) for share in (0.5, 1.5))
+    assert corrected is not None
+    assert corrected.shift is not None
+    # What the chain's error adds to chi^2 is gone; the chain stays, and what a beam's parameters are is said beside it.
+    assert bias.decrease > 50
+    assert fit.chi2 - corrected.chi2 == pytest.approx(bias.decrease, rel=0.1)
+    assert corrected.point.x == pytest.approx(fit.point.x)
+    errors = np.sqrt(np.diag(information_of(fit).covariance))
+    assert (np.abs(corrected.shift - bias.shift) < errors).all()
+    assert abs(corrected.estimate[-1] - truth.coordinates[0]) < 3 * errors[-1]
+    # An error that is negligible moves the estimates alone.
+    assert shifted is not None
+    assert shifted.point is fit.point
+    assert shifted.shift == pytest.approx(bias.shift)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_sizes_of_a_backlash_are_those_beside_more_joints(seed: int) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
-from vjm.effects import BUILTIN, Effect, GearElasticity, TipPayload, magnitude
+from vjm.effects import BUILTIN, Backlash, Effect, GearElasticity, TipPayload, magnitude
 from vjm.errors import ShapeError
 from vjm.records import Rig
 
@@ -154,6 +154,15 @@ def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_a_power() -> No
     assert (body.radius_of_gyration, radius.bounds[0]) == (0.0, 0.0)
     assert body.at(np.array([0.5, 4.0])).radius_of_gyration == pytest.approx(2 * radius.typical_magnitude)
     assert body.at(np.array([0.5, 4.0])).coordinates == pytest.approx([0.5, 4.0])
+
+
+def test_play_starts_from_hard_and_from_soft_flanks_of_one_damping_ratio() -> None:
+    variants = Backlash().variants(Rig("arms", (LINK, replace(LINK, name="other", mass=2 * LINK.mass))), [])
+    for link in (0, 1):
+        flanks = [(each.flank_stiffness, each.flank_damping) for each in variants if each.link == link]
+        stiffness, damping = np.array(flanks).T
+        assert stiffness / stiffness[0] == pytest.approx([1.0, 0.1, 0.01])
+        assert damping / damping[0] == pytest.approx(np.sqrt(stiffness / stiffness[0]))
 
 
 def test_coordinates_stay_in_the_rig_s_units() -> None:
