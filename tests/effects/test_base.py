@@ -59,7 +59,9 @@ def test_kinetic_energy_is_that_of_the_bodies(arm: Chain, direction: float, seed
     def places(angles: Array, distances: Array) -> Array:
         return drawn(arm, angles, distances)[0]
 
-    ends = np.concatenate([link.lengths for link in arm.links])
+    centers_of_payloads = np.concatenate([link.lengths for link in arm.links])
+    tips = np.cumsum([link.lengths.size for link in arm.links]) - 1
+    centers_of_payloads[tips] += [link.payload_offset for link in arm.links]
 
     def rates(distances: Array) -> Array:
         ahead, behind = (places(q[0, 1:] + sign * STEP * v[0, 1:], distances) for sign in (1, -1))
@@ -70,8 +72,8 @@ def test_kinetic_energy_is_that_of_the_bodies(arm: Chain, direction: float, seed
     energy = 0.5 * TABLE.mass * v[0, 0] ** 2
     masses, inertias = (np.concatenate([getattr(link, name) for link in arm.links]) for name in ("masses", "inertias"))
     energy += 0.5 * (masses @ (rates(centers) ** 2).sum(axis=1) + inertias @ turning**2)
-    tips = np.cumsum([link.lengths.size for link in arm.links]) - 1
-    energy += 0.5 * np.array([link.payload for link in arm.links]) @ (rates(ends)[tips] ** 2).sum(axis=1)
+    carried = np.array([link.payload for link in arm.links])
+    energy += 0.5 * carried @ (rates(centers_of_payloads)[tips] ** 2).sum(axis=1)
     energy += 0.5 * np.array([link.payload_inertia for link in arm.links]) @ turning[tips] ** 2
     firsts = tips + 1 - [link.lengths.size for link in arm.links]  # hubs turn with them
     energy += 0.5 * np.array([link.hub_inertia for link in arm.links]) @ turning[firsts] ** 2

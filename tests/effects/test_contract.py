@@ -152,8 +152,10 @@ def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_a_power() -> No
     (body,) = TipPayload().variants(Rig("hub", (LINK,)), [])
     radius = body.parameters[1]
     assert (body.radius_of_gyration, radius.bounds[0]) == (0.0, 0.0)
-    assert body.at(np.array([0.5, 4.0])).radius_of_gyration == pytest.approx(2 * radius.typical_magnitude)
-    assert body.at(np.array([0.5, 4.0])).coordinates == pytest.approx([0.5, 4.0])
+    assert body.at(np.array([0.5, 4.0, 0.0])).radius_of_gyration == pytest.approx(2 * radius.typical_magnitude)
+    for offset in (0.6, -0.6):  # an odd power has its sign
+        assert body.at(np.array([0.5, 4.0, offset])).offset == pytest.approx(0.05 * offset * LINK.length)
+        assert body.at(np.array([0.5, 4.0, offset])).coordinates == pytest.approx([0.5, 4.0, offset])
 
 
 def test_play_starts_from_hard_and_from_soft_flanks_of_one_damping_ratio() -> None:
@@ -167,13 +169,15 @@ def test_play_starts_from_hard_and_from_soft_flanks_of_one_damping_ratio() -> No
 
 def test_coordinates_stay_in_the_rig_s_units() -> None:
     (absent,) = TipPayload().variants(Rig("hub", (LINK,)), [])
-    present = absent.at(np.array([2.0, 0.5]))
+    present = absent.at(np.array([2.0, 0.5, 0.0]))
     assert present.mass == pytest.approx(2 * 0.02 * LINK.mass)
     assert present.radius_of_gyration == pytest.approx(0.5**0.5 * 0.05 * LINK.length)
     assert present == TipPayload(present.mass, present.radius_of_gyration, link=0)
-    assert present.at(np.array([0.5, 0.0])).mass == pytest.approx(0.01 * LINK.mass)
+    assert present.at(np.array([0.5, 0.0, 0.0])).mass == pytest.approx(0.01 * LINK.mass)
     assert "rig_units" not in repr(present)
-    assert TipPayload(0.3).coordinates == pytest.approx([0.3 / 0.02, 0.0])  # on no rig: as on one whose units are 1
+    assert TipPayload(0.3).coordinates == pytest.approx(
+        [0.3 / 0.02, 0.0, 0.0]
+    )  # on no rig: as on one whose units are 1
 
 
 @dataclass(frozen=True)

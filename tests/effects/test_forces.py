@@ -263,6 +263,9 @@ def test_a_mass_on_the_tip_joins_the_one_that_is_there() -> None:
     assert [link.payload for link in loaded.links] == pytest.approx([0.0, 0.06])
     assert [link.payload_inertia for link in loaded.links] == pytest.approx([0.0, 0.01 * 0.05**2 + 0.03 * 0.1**2])
     assert modes(TipPayload(mass=0.03).chain(HUB)).frequencies == pytest.approx(modes(HUB, payload=0.03).frequencies)
+    beyond = TipPayload(0.01, 0.05, 0.09).chain(TipPayload(0.03, 0.1, -0.03).chain(chain)).links[1]
+    assert (beyond.payload, beyond.payload_offset) == pytest.approx((0.06, 0.0))
+    assert beyond.payload_inertia == pytest.approx(0.01 * (0.05**2 + 0.09**2) + 0.03 * (0.1**2 + 0.03**2))
 
 
 def test_a_body_on_the_tip_makes_the_frequencies_of_the_characteristic_equation() -> None:
@@ -274,6 +277,22 @@ def test_a_body_on_the_tip_makes_the_frequencies_of_the_characteristic_equation(
         physics = Physics(tip_payload_mass=mass, tip_payload_radius_of_gyration=radius)
         pulsations = Extended(extended, physics, np.zeros(1)).modes()[0][:3]
         assert pulsations / (2 * np.pi) == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_body_beyond_the_tip_makes_the_frequencies_of_two_other_simulators() -> None:
+    pytest.importorskip("mujoco")
+    from tests.mujoco_arm.chain import Arm, Link
+
+    for mass, radius, offset in ((0.02, 0.0, 0.05), (0.3, 0.05, 0.1), (0.1, 0.1, -0.2)):
+        body = {"payload": mass, "payload_offset": offset, "payload_inertia": mass * radius**2}
+        rods = Arm((Link("beam", 1.0, 1.0, 1.0, joint="clamped", **body),), segments=60).natural_frequencies(3)
+        chain = TipPayload(mass, radius, offset).chain(beam_chain(32, distal="joined"))
+        physics = Physics(tip_payload_mass=mass, tip_payload_radius_of_gyration=radius, tip_payload_offset=offset)
+        fine = Extended(Beam(1.0, 1.0, 1.0), physics, np.zeros(1)).modes()[0][:3] / (2 * np.pi)
+        assert modes(chain).frequencies[:3] == pytest.approx(fine, rel=1e-3)
+        assert rods == pytest.approx(fine, rel=1e-3)
+        centred = TipPayload(mass, radius).chain(beam_chain(32, distal="joined"))
+        assert modes(centred).frequencies[0] != pytest.approx(fine[0], rel=2e-3)
 
 
 def test_gravity_adds_up() -> None:

@@ -41,12 +41,15 @@ def energy(motion: Motion) -> Array:
     heading, rate = motion.coordinates @ motion.beam.heading.T, motion.rates @ motion.beam.heading.T
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     basis, beam = motion.beam.basis, motion.beam.beam
-    velocity = np.vstack([basis.cumulative, basis.weights]) @ (rate[..., None] * normal)
+    reach = basis.weights.copy()
+    reach[-1] += motion.beam.physics.tip_payload_offset
+    velocity = np.vstack([basis.cumulative, basis.weights, reach]) @ (rate[..., None] * normal)
     moved = 0.0
     if motion.beam.physics.has_table:
         velocity += motion.rates[:, -1:, None] * motion.beam.slide
         moved = 0.5 * motion.beam.physics.base_compliance_mass * motion.rates[:, -1] ** 2
-    masses = np.append(motion.beam.line * basis.weights, motion.beam.tip_masses[0])
+    hidden = motion.beam.physics.tip_payload_mass
+    masses = np.append(motion.beam.line * basis.weights, [motion.beam.tip_masses[0] - hidden, hidden])
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ masses
     share = motion.beam.physics.motor_share
     shares = [share, 1.0 - share] if motion.beam.motor else [1.0] * int(motion.beam.revolute)

@@ -18,7 +18,7 @@ class Basis:
 
     Attributes:
         length: beam length, m.
-        nodes: arc lengths, m, (N,).
+        nodes: arc lengths, m, (N,); one of no weight may follow, at the distal end.
         weights: quadrature weights, m, (N,).
         heading: B_m at the nodes, (N, m); B_m(0) = 0.
         curvature: dB_m/ds at the nodes, 1/m, (N, m); zero at the distal end where that carries no moment.
@@ -35,7 +35,20 @@ class Basis:
     def integrals_to(self, arc_lengths: Array) -> Array:
         """Rows that take nodal values of f to its integral from 0 to each arc length, m, (k, N)."""
         abscissae = 2.0 * np.asarray(arc_lengths, dtype=float) / self.length - 1.0
-        return 0.5 * self.length * _integrals(abscissae, len(self.nodes))
+        count = int(np.count_nonzero(self.weights))
+        rows = 0.5 * self.length * _integrals(abscissae, count)
+        return np.pad(rows, ((0, 0), (0, len(self.nodes) - count)))
+
+    def with_tip_node(self) -> Basis:
+        """The same with one more node, at the distal end and of no weight."""
+        return Basis(
+            length=self.length,
+            nodes=np.append(self.nodes, self.length),
+            weights=np.append(self.weights, 0.0),
+            heading=np.vstack([self.heading, self.weights @ self.curvature]),
+            curvature=np.vstack([self.curvature, np.zeros(self.curvature.shape[1])]),
+            cumulative=np.pad(np.vstack([self.cumulative, self.weights]), ((0, 0), (0, 1))),
+        )
 
 
 def _integrals(abscissae: Array, count: int) -> Array:

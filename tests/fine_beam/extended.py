@@ -47,9 +47,11 @@ class Extended:
     """A beam with hidden physics and B payloads (kg, on the tip, on top of its own)."""
 
     def __init__(self, beam: Beam, physics: Physics, payloads: Array, size: int = 8, nodes: int = 16) -> None:
-        tip_moment = physics.tip_payload_radius_of_gyration > 0.0
+        tip_moment = physics.tip_payload_radius_of_gyration > 0.0 or physics.tip_payload_offset != 0.0
         size += int(tip_moment)  # up to the same degree
         basis: Basis = make_basis(beam.length, size, nodes, tip_moment)
+        basis = basis.with_tip_node() if physics.tip_payload_offset else basis
+        nodes = len(basis.nodes)
         self.beam, self.physics, self.basis = beam, physics, basis
         self.revolute = beam.joint == "revolute"
         self.motor = self.revolute and physics.has_motor
@@ -102,8 +104,13 @@ class Extended:
         carried = self.line * basis.weights
         bare = (basis.cumulative.T * carried) @ basis.cumulative
         tips = self.tip_masses[:, None]
-        kernels = bare + tips[..., None] * np.outer(basis.weights, basis.weights)
-        beyond = carried @ basis.cumulative + tips * basis.weights
+        # On the tip, and beyond it: by the distance times the heading at the last node.
+        reach = basis.weights.copy()
+        reach[-1] += self.physics.tip_payload_offset
+        hidden = self.physics.tip_payload_mass
+        on_tip = (tips - hidden)[..., None] * np.outer(basis.weights, basis.weights)
+        kernels = bare + on_tip + hidden * np.outer(reach, reach)
+        beyond = carried @ basis.cumulative + (tips - hidden) * basis.weights + hidden * reach
         self._turning: Array = np.zeros((self.size, self.size))
         if self.revolute:
             motor = self.physics.motor_share

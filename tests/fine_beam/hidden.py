@@ -22,7 +22,8 @@ class Physics:
     """Mechanical effects; t is the time since the recording's start.
 
     Attributes:
-        tip_payload_mass, tip_payload_radius_of_gyration: of a body with its centre on the tip, kg, m.
+        tip_payload_mass, tip_payload_radius_of_gyration, tip_payload_offset: of a body, its centre beyond the tip; kg,
+            m, m.
         in_plane_gravity_gx, in_plane_gravity_gy: uniform gravity on top of the beam's own, m/s^2.
         coulomb_friction_torque: dry friction at the joint, with sticking, N m.
         viscous_friction_coefficient: at the joint, N m s/rad.
@@ -62,6 +63,7 @@ class Physics:
 
     tip_payload_mass: float = 0.0
     tip_payload_radius_of_gyration: float = 0.0
+    tip_payload_offset: float = 0.0
     in_plane_gravity_gx: float = 0.0
     in_plane_gravity_gy: float = 0.0
     coulomb_friction_torque: float = 0.0

@@ -255,7 +255,7 @@ UNDAMPED = replace(HUB, kelvin_voigt_time=0.0)
     [
         Physics(gear_elasticity_stiffness=60.0),
         Physics(clamp_compliance_compliance=5e-3),
-        Physics(tip_payload_mass=0.05),
+        Physics(tip_payload_mass=0.05, tip_payload_offset=0.1),
         table(stiffness=500.0, mass=2.0, direction=0.9, damping_ratio=0.0),
     ],
     ids=["gear", "clamp", "payload", "table"],

@@ -94,6 +94,7 @@ CLAMPED_FACTORS: Mapping[str, float] = {
 POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("tip_payload", "mass"): (0, 1, 0),
     ("tip_payload", "radius_of_gyration"): (1, 0, 0),
+    ("tip_payload", "offset"): (1, 0, 0),
     ("in_plane_gravity", "gx"): (1, 0, -2),
     ("in_plane_gravity", "gy"): (1, 0, -2),
     ("coulomb_friction", "torque"): (2, 1, -2),
@@ -238,8 +239,9 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
     """Parameters that say how an effect is, not how large."""
     spread = float(2.0 ** random.uniform(-0.7, 0.7))
     match effect:
-        case "tip_payload":  # from a point to a body a third as long as the link
-            return {"radius_of_gyration": 0.1 * random.uniform()}
+        case "tip_payload":  # from a point to a body a third as long as the link, held anywhere along it
+            radius = 0.1 * random.uniform()
+            return {"radius_of_gyration": radius, "offset": 12**0.5 / 2 * radius * random.uniform(-1.0, 1.0)}
         case "backlash":
             share = random.uniform(0.2, 0.8)
             # What flanks do is not the model's law: their stiffness and damping have names of their own. From those of

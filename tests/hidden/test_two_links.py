@@ -62,10 +62,10 @@ def test_dry_friction_stops_a_rigid_arm_as_it_does_a_block() -> None:
 
 
 def test_a_payload_hangs_on_the_last_link() -> None:
-    arm = two_links._with_hidden(
-        two_link_setting(1), [Planted("tip_payload", {"mass": 0.02, "radius_of_gyration": 0.05})]
-    )
+    body = {"mass": 0.02, "radius_of_gyration": 0.05, "offset": 0.03}
+    arm = two_links._with_hidden(two_link_setting(1), [Planted("tip_payload", body)])
     assert [link.payload for link in arm.links] == [0.0, 0.02]
+    assert [link.payload_offset for link in arm.links] == [0.0, 0.03]
     assert [link.payload_inertia for link in arm.links] == pytest.approx([0.0, 5e-5])
 
 

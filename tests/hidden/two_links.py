@@ -151,7 +151,8 @@ def _with_hidden(setting: TwoLinkSetting, effects: Sequence[Planted]) -> Arm:
                 arm = replace(arm, gravity=(value["gx"], value["gy"]))
             case "tip_payload":
                 inertia = value["mass"] * value["radius_of_gyration"] ** 2
-                links[-1] = replace(links[-1], payload=value["mass"], payload_inertia=inertia)
+                body = {"payload": value["mass"], "payload_offset": value["offset"], "payload_inertia": inertia}
+                links[-1] = replace(links[-1], **body)
             case "coulomb_friction":
                 links[place] = replace(links[place], joint_friction=value["torque"])
             case "viscous_friction":

@@ -26,6 +26,7 @@ def one_joint_link(joint: Literal["revolute", "clamped"], **changes: object) -> 
         "cells": [0.9],
         "hub_inertia": 0.053,
         "payload": 0.071,
+        "payload_offset": 0.11,
         "payload_inertia": 0.0023,
     }
     return LinkChain(name="beam", joint=joint, **{**values, **changes})  # type: ignore[arg-type]
@@ -55,6 +56,7 @@ def arms(draw: st.DrawFn, point_masses: bool = True) -> Chain:
                 cells=rng.uniform(0.1, 0.5, n),
                 hub_inertia=rng.uniform(0.01, 0.1) * point_masses,
                 payload=rng.uniform(0.01, 0.3) * point_masses,
+                payload_offset=rng.uniform(-0.2, 0.2) * point_masses,
                 payload_inertia=rng.uniform(0.0, 0.02) * point_masses,
             )
         )

@@ -48,6 +48,7 @@ def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
         cells=draw(sizes(n, 1e-3, 1.0)),
         hub_inertia=draw(st.sampled_from([0.0, 0.02, 1.7])),
         payload=payload,
+        payload_offset=draw(st.sampled_from([0.0, 0.03, -0.2])) if payload else 0.0,
         payload_inertia=draw(st.sampled_from([0.0, 3e-5, 0.07])) if payload else 0.0,
         distal=draw(st.sampled_from(["free", "joined"])),
         joint_stiffness=draw(positive(0.0, 2.0)) if active else 0.0,
@@ -82,6 +83,7 @@ def plain_link(name: str = "beam", n: int = 2, **changes: object) -> LinkChain:
         "cells": 0.31 + 0.02 * j[1:],
         "hub_inertia": 0.02,
         "payload": 0.05,
+        "payload_offset": 0.02,
         "width": 0.035,
         "thickness": 0.0015,
     }
@@ -90,7 +92,7 @@ def plain_link(name: str = "beam", n: int = 2, **changes: object) -> LinkChain:
 
 def plain_chain() -> Chain:
     """Two links, one of them without width and thickness."""
-    second = plain_link("fore", n=3, hub_inertia=1e-3, payload=0.0, width=None, thickness=None)
+    second = plain_link("fore", n=3, hub_inertia=1e-3, payload=0.0, payload_offset=0.0, width=None, thickness=None)
     return Chain("arm", (plain_link(distal="joined"), second), (0.0, -9.81))
 
 
@@ -152,7 +154,7 @@ class Plane:
             self.bodies.append((link.masses[j], turning, center, len(self.pivots)))
             self.point = self._ahead(link.lengths[j])
         self.places[f"{link.name}_tip"] = (self.point, self.angle)
-        self.bodies.append((link.payload, link.payload_inertia, self.point, len(self.pivots)))
+        self.bodies.append((link.payload, link.payload_inertia, self._ahead(link.payload_offset), len(self.pivots)))
 
     def mass_matrix(self) -> Array:
         """Sum over bodies of m J^T J + I w w^T."""

@@ -51,13 +51,15 @@ class TwoBodies:
     def of(cls, link: LinkChain, payload: float, gravity: tuple[float, float]) -> TwoBodies:
         """The constants of a link with one virtual joint."""
         (l0, l1), (m0, m1), (c0, c1), (i0, i1) = link.lengths, link.masses, link.mass_centers, link.inertias
-        p = link.payload + payload
+        carried = ((link.payload, l1 + link.payload_offset), (payload, l1))
+        p, first = (sum(m * r**k for m, r in carried) for k in (0, 1))
+        second = sum(m * r**2 for m, r in carried) + link.payload_inertia
         return cls(
             alpha=link.hub_inertia + i0 + m0 * c0**2 + (m1 + p) * l0**2,
-            beta=i1 + m1 * c1**2 + p * l1**2 + link.payload_inertia,
-            gamma=l0 * (m1 * c1 + p * l1),
+            beta=i1 + m1 * c1**2 + second,
+            gamma=l0 * (m1 * c1 + first),
             mu0=m0 * c0 + (m1 + p) * l0,
-            mu1=m1 * c1 + p * l1,
+            mu1=m1 * c1 + first,
             stiffness=float(link.stiffness[0]),
             damping=float(link.damping[0]),
             gravity=gravity,
@@ -94,7 +96,8 @@ def _segments(chain: Chain) -> tuple[Array, list[tuple[float, float, Array]]]:
             inertia = link.inertias[j] + (link.hub_inertia if j == 0 else 0.0)
             bodies.append((link.masses[j], inertia, [*lengths, link.mass_centers[j]]))
             lengths.append(float(link.lengths[j]))
-        bodies.append((link.payload, link.payload_inertia, list(lengths)))
+        beyond = [*lengths[:-1], lengths[-1] + link.payload_offset]
+        bodies.append((link.payload, link.payload_inertia, beyond))
     padded = [(m, i, np.array(reach + [0.0] * (len(lengths) - len(reach)))) for m, i, reach in bodies]
     return np.array(headings), padded
 

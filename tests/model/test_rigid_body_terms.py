@@ -152,9 +152,11 @@ def test_gravity_given_replaces_the_chain_s() -> None:
 
 
 def test_extra_payload_hangs_on_the_last_tip_only() -> None:
-    first, second = one_joint_arm("revolute").links[0], one_joint_arm("revolute", payload=0.11).links[0]
-    chain = Chain("arm", (first, second), GRAVITY)
-    heavier = Chain("arm", (first, one_joint_arm("revolute", payload=0.11 + 0.2).links[0]), GRAVITY)
+    first, second, heavy = (
+        one_joint_arm("revolute", **changes).links[0]
+        for changes in ({}, {"payload": 0.11, "payload_offset": 0.0}, {"payload": 0.11 + 0.2, "payload_offset": 0.0})
+    )
+    chain, heavier = Chain("arm", (first, second), GRAVITY), Chain("arm", (first, heavy), GRAVITY)
     motion = random_motion(chain, 3, 10)
     np.testing.assert_allclose(
         Mechanism(chain, 0.2).inverse_dynamics(*motion), Mechanism(heavier).inverse_dynamics(*motion), rtol=1e-12

@@ -119,7 +119,8 @@ def test_yourdfpy_finds_joints_frames_and_masses(chain: Chain, seed: int) -> Non
         assert [joint.origin[0, 3] for joint in ends] == link.lengths.tolist()
         assert (f"{link.name}_payload" in robot.link_map) == bool(link.payload)
         if link.payload:
-            assert robot.link_map[f"{link.name}_payload"].inertial.mass == link.payload
+            carried = robot.link_map[f"{link.name}_payload"].inertial
+            assert (carried.mass, carried.origin[0, 3]) == (link.payload, link.payload_offset)
 
 
 @settings(deadline=None)
@@ -347,4 +348,6 @@ def test_shapes_follow_the_section_and_the_payload() -> None:
 
 def test_what_is_not_there_has_no_inertia() -> None:
     with pytest.raises(ShapeError, match=r"beam\.payload_inertia.*without a payload"):
-        plain_link(payload=0.0, payload_inertia=1e-3)
+        plain_link(payload=0.0, payload_offset=0.0, payload_inertia=1e-3)
+    with pytest.raises(ShapeError, match=r"beam\.payload_offset.*without a payload"):
+        plain_link(payload=0.0, payload_offset=0.01)

@@ -25,7 +25,7 @@ class Link:
         kelvin_voigt_time: s; the damping of a hinge is its stiffness times this.
         joint: "revolute" (turned by a torque) or "clamped" (along the end of the link before, the first along x).
         hub_inertia: kg m^2 about the joint axis; the hub turns with this link and has no mass.
-        payload, payload_inertia: kg, kg m^2, of a body with its centre at the distal end.
+        payload, payload_offset, payload_inertia: kg, m, kg m^2, of a body with its centre beyond the distal end.
         joint_damping, joint_stiffness: of its active joint, N m s/rad, N m/rad; the spring is at rest at zero.
         joint_friction: dry, of its active joint, N m.
     """
@@ -38,6 +38,7 @@ class Link:
     joint: Literal["revolute", "clamped"] = "revolute"
     hub_inertia: float = 0.0
     payload: float = 0.0
+    payload_offset: float = 0.0
     payload_inertia: float = 0.0
     joint_damping: float = 0.0
     joint_stiffness: float = 0.0
@@ -161,7 +162,7 @@ def _payload(link: Link, position: float) -> str:
     if not link.payload:
         return ""
     inertia = max(link.payload_inertia, 1e-12)  # MuJoCo has no point masses
-    return f'<body pos="{position!r} 0 0">{_inertial(0.0, link.payload, inertia)}</body>'
+    return f'<body pos="{position!r} 0 0">{_inertial(link.payload_offset, link.payload, inertia)}</body>'
 
 
 def _inertial(position: float, mass: float, inertia: float) -> str:

@@ -41,7 +41,8 @@ class LinkChain(Record):
     damping: _Values  # (n,) D of each virtual joint [N m s/rad]
     cells: _Values  # (n,) length of beam whose bending each virtual joint stands for [m]: phi_j = cells_j kappa(s_j)
     hub_inertia: _NotNegative = 0.0  # about the active joint's axis [kg m^2]
-    payload: _NotNegative = 0.0  # mass at the distal end, where its centre is [kg]
+    payload: _NotNegative = 0.0  # mass on the last virtual link [kg]
+    payload_offset: float = 0.0  # distance of that mass's centre beyond the distal end, along that virtual link [m]
     payload_inertia: _NotNegative = 0.0  # of that mass about its centre [kg m^2]
     distal: Distal = "free"  # the distal end carries no moment, or `joined`: another link is driven from there
     joint_stiffness: _NotNegative = 0.0  # of the active joint, back to zero [N m/rad]
@@ -71,8 +72,9 @@ class LinkChain(Record):
             value = getattr(self, field)
             if value is not None and not 0 <= value < np.inf:
                 raise ShapeError(f"{self.name}.{field}", value, "zero or a positive number")
-        if self.payload_inertia and not self.payload:
-            raise ShapeError(f"{self.name}.payload_inertia", self.payload_inertia, "zero, without a payload")
+        for field in ("payload_offset", "payload_inertia"):
+            if getattr(self, field) and not self.payload:
+                raise ShapeError(f"{self.name}.{field}", getattr(self, field), "zero, without a payload")
         for field in ("lengths", "cells"):
             if (getattr(self, field) <= 0).any():
                 raise ShapeError(f"{self.name}.{field}", getattr(self, field).tolist(), "positive lengths")

@@ -44,7 +44,7 @@ class Parameter:
     threshold: float = np.inf  # of a reciprocal one: value below which it acts, where its coordinate is zero
     integer: bool = False  # it is a whole number, which is never varied in a fit
     # Of a shape parameter that may be zero: its coordinate is this power, in which the motion is about linear, of the
-    # value over a typical one. None: the logarithm, whose slope vanishes at zero.
+    # value over a typical one; an odd power has its sign. None: the logarithm, whose slope vanishes at zero.
     power: int | None = None
     # Searches start from peaks of the residuals' spectrum, over time or over the joint's angle, instead of the grid.
     from_spectrum: Literal["", "time", "joint_angle"] = ""
@@ -80,7 +80,9 @@ class Parameter:
             inverse = coordinate + self.typical_magnitude / self.threshold
             return self.typical_magnitude / inverse if coordinate > 0 else np.inf
         if self.power:
-            return self.typical_magnitude * float(max(coordinate, 0.0) ** (1 / self.power))
+            positive = self.power % 2 == 1 or coordinate > 0
+            root = abs(coordinate) ** (1 / self.power) if positive else 0.0
+            return self.typical_magnitude * float(np.copysign(root, coordinate))
         if self.shape_parameter:
             return float(self.typical_magnitude * np.exp(coordinate))
         return self.null + self.typical_magnitude * coordinate

@@ -29,15 +29,20 @@ class _TipEffect(LinkEffect):
 
 @dataclass(frozen=True)
 class TipPayload(_TipEffect):
-    """A mass with its centre at the distal end of the last link, and a radius of gyration about it."""
+    """A mass on the last link, its radius of gyration, and how far beyond the distal end its centre is."""
 
     mass: float = magnitude("kg", 0.02, lower=0.0, in_rig_units=True)
     # Typical: of a body a sixth as long as the link. At most that of a rod as long as the link, held by its middle.
     radius_of_gyration: float = shape_parameter("m", 0.05, upper=12**-0.5, power=2, in_rig_units=True)
+    # Of such a body where the link ends in its middle; at most that of a rod as long as the link where it ends.
+    offset: float = shape_parameter("m", 0.05, lower=-0.5, upper=0.5, power=1, in_rig_units=True)
 
     description = "unknown mass on the tip"
-    clause = "unknown mass of {mass}[, radius of gyration {radius_of_gyration},] on the tip of '{link}'"
-    assumptions = "a centre of mass at the end of the last link's centre line; rigidly fastened"
+    clause = (
+        "unknown mass of {mass}[, radius of gyration {radius_of_gyration},] on the tip of '{link}'"
+        "[, its centre {offset} beyond it]"
+    )
+    assumptions = "a centre of mass on the last link's centre line or its extension; rigidly fastened"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
     distinguishing_experiment = "a recording with a known tip mass, static sag, or driven recordings"
     common = True
@@ -46,8 +51,17 @@ class TipPayload(_TipEffect):
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a larger payload."""
         link = self.link_of(chain)
-        inertia = link.payload_inertia + self.mass * self.radius_of_gyration**2
-        return self.with_link(chain, payload=link.payload + self.mass, payload_inertia=inertia)
+        total = link.payload + self.mass
+        if not total:
+            return chain
+        center = (link.payload * link.payload_offset + self.mass * self.offset) / total
+        bodies = ((link.payload, link.payload_offset, link.payload_inertia), self._body)
+        inertia = sum(own + mass * (offset - center) ** 2 for mass, offset, own in bodies)
+        return self.with_link(chain, payload=total, payload_offset=center, payload_inertia=inertia)
+
+    @property
+    def _body(self) -> tuple[float, float, float]:
+        return self.mass, self.offset, self.mass * self.radius_of_gyration**2
 
 
 @dataclass(frozen=True)

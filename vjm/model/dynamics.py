@@ -175,8 +175,8 @@ def _add_chain(model: pin.Model, chain: Chain, payload: float) -> None:
             carried_inertia = link.carried_inertia if j == 0 else 0.0
             add_body(float(link.masses[j]), float(link.mass_centers[j]), float(link.inertias[j]) + carried_inertia)
             offset += length
-        tip_mass = link.payload + (payload if i == len(chain.links) - 1 else 0.0)
-        add_body(tip_mass, 0.0, link.payload_inertia)
+        add_body(link.payload, link.payload_offset, link.payload_inertia)
+        add_body(payload if i == len(chain.links) - 1 else 0.0, 0.0, 0.0)
 
 
 def _placement(x: float, angle: float = 0.0) -> pin.SE3:

@@ -173,10 +173,10 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
         if link.payload:
             # The same about every axis, as a ball's; zero is a point mass's, exact and physically valid.
             mass, inertia = float(link.payload), float(link.payload_inertia)
-            ball = _Inertial(mass, 0.0, inertia, inertia, inertia)
+            ball = _Inertial(mass, link.payload_offset, inertia, inertia, inertia)
             steel = (3 * mass / (4 * math.pi * 7850.0)) ** (1 / 3)  # radius of a ball of steel
             radius = max(steel, math.sqrt(2.5 * inertia / mass))  # the latter of a uniform ball of this inertia
-            body = _Body(f"{name}_payload", ball, (_Shape("sphere", (radius,), 0.0, "vjm_payload"),))
+            body = _Body(f"{name}_payload", ball, (_Shape("sphere", (radius,), link.payload_offset, "vjm_payload"),))
             yield _Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
 
 
@@ -398,9 +398,9 @@ def _with_payloads(joints: Sequence[_Joint]) -> list[_Joint]:
         tip = by_body[joint.parent]
         carrier = merged[tip.parent]
         body = carrier.body.inertial
-        mass = body.mass + point.mass
-        center = (body.mass * body.center + point.mass * tip.x) / mass
-        added = body.mass * (body.center - center) ** 2 + point.mass * (tip.x - center) ** 2
+        mass, x = body.mass + point.mass, tip.x + point.center
+        center = (body.mass * body.center + point.mass * x) / mass
+        added = body.mass * (body.center - center) ** 2 + point.mass * (x - center) ** 2
         combined = _Inertial(mass, center, body.ixx, body.iyy + added, body.izz + added)
         merged[tip.parent] = carrier._replace(body=carrier.body._replace(inertial=combined))
         massless = _Body(joint.body.name, shapes=joint.body.shapes)

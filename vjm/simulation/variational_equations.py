@@ -39,6 +39,7 @@ _OF_BODIES = (
     "hub_inertia",
     "root_inertia",
     "payload",
+    "payload_offset",
     "payload_inertia",
     "rest_curvature",
 )
