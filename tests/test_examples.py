@@ -93,8 +93,9 @@ def test_own_experiment(run: Runner, tmp_path: Path) -> None:
     assert "Cause found: unknown mass of 12." in said
     assert "Residual is consistent with noise" in said
     # The example's beam solver is its own; a quarter of a percent allows for discretization and four standard errors.
+    # Three of a mass whose centre may be anywhere about the tip are 7 %.
     found = {name: numbers(text)[0] for name, _, text in (line.partition(" = ") for line in said.splitlines()) if text}
-    assert found["mass"] == pytest.approx(0.012, rel=0.005)
+    assert found["mass"] == pytest.approx(0.012, rel=0.07)
     assert found["beam.bending_stiffness"] == pytest.approx(1.62, rel=0.0025)
     assert said.rstrip().endswith("vjm diagnose lab/experiment.toml")
     experiment = vjm.load_experiment(tmp_path / "lab" / "experiment.toml")

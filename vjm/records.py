@@ -66,11 +66,19 @@ NOT_NOISE = 1e-3  # p-value below which residuals are not noise: three standard 
 
 
 class Record:
-    """Base of records that hold arrays or many other records: a repr of one line, without what is in those."""
+    """Base of records that hold arrays or many other records: a repr of one line, without what is in those.
+
+    Numbers and names at their defaults are left out.
+    """
 
     def __repr__(self) -> str:
-        shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in fields(self))  # type: ignore[arg-type]
-        return f"{type(self).__name__}({', '.join(shown)})"
+        values = ((field, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+        told = (
+            f"{field.name}={_shown(value)}"
+            for field, value in values
+            if not (isinstance(value, str | float | int | None) and value == field.default)
+        )
+        return f"{type(self).__name__}({', '.join(told)})"
 
 
 def _shown(value: object) -> str:

@@ -34,11 +34,12 @@ def test_standard_errors_follow_each_parameters_scale() -> None:
     # At its bound, where the logarithm would have no slope, a damping has the error that it has elsewhere.
     assert parameters["damping"].std == pytest.approx(0.2 * gear.parameters[2].typical_magnitude, rel=1e-4)
     for square, std in ((0.0, 0.04), (9.0, 0.04)):  # of a radius of gyration over a typical one
-        body = TipPayload(link=0).at(np.array([0.5, square]))
-        parameters = _with_errors(body, np.diag([0.01, std**2]))
+        body = TipPayload(link=0).at(np.array([0.5, square, -0.2]))
+        parameters = _with_errors(body, np.diag([0.01, std**2, 0.09]))
         change = (square + std) ** 0.5 - square**0.5
         assert parameters["radius_of_gyration"].std == pytest.approx(change * body.parameters[1].typical_magnitude)
         assert parameters["mass"].std == pytest.approx(0.1 * body.parameters[0].typical_magnitude, rel=1e-4)
+        assert parameters["offset"].std == pytest.approx(0.3 * body.parameters[2].typical_magnitude, rel=1e-4)
         interval = parameters["radius_of_gyration"].ci95
         assert interval is not None
         assert (interval[0] == 0.0) == (square == 0.0)  # no radius is negative
@@ -92,7 +93,7 @@ def test_a_p_value_allows_for_residuals_that_last(inflation: float) -> None:
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: seen.append(decrease) or 1e-9)
     search = SimpleNamespace(start=None, refit_without=lambda *_: model((), 1400.0))
     result = SimpleNamespace(best=model((payload,), 1000.0), first_tests=family, p_values={}, fits={}, segment_fits={})
-    estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
+    estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3))
     assert seen == [400.0 / max(inflation, 1.0)]
 
 
@@ -107,7 +108,7 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     p_values = {payload.key: 1e-3, offset.key: 1e-5}
     result = SimpleNamespace(best=best, first_tests=family, p_values=p_values, fits=tried, segment_fits={})
     others = {payload.key: (alternative,)}
-    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(3)))
+    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(4)))
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]
@@ -126,7 +127,7 @@ def test_a_refit_out_of_time_is_no_measure_of_what_is_missed(share: float) -> No
         search = SimpleNamespace(start=None, refit_without=lambda *_, done=converged: model((), 9e6, done))
         result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
         result.segment_fits = {frozenset(): model((), share * 7000.0, count=int(share * 1000))}
-        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
+        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3))
         assert cause.decrease == pytest.approx(missed)
         assert not cause.evidence.startswith("its fit ended")
 
@@ -140,7 +141,7 @@ def test_a_cause_whose_fit_was_no_better_than_that_without_it_explains_nothing()
     result = SimpleNamespace(
         best=model((payload,), 1000.0), first_tests=family, p_values={}, fits={frozenset(): better}, segment_fits={}
     )
-    (cause,) = ranked(estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2)))
+    (cause,) = ranked(estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3)))
     assert (cause.decrease, cause.p_value, cause.role) == (0.0, 0.5, "main")
     assert cause.evidence == "its fit ended before it was better than that without it"
 
@@ -156,7 +157,7 @@ def test_a_cause_that_was_not_fitted_without_does_not_claim_what_others_explain(
     search = SimpleNamespace(start=start, refit_without=lambda *_: None)
     result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
     monkeypatch.setattr(alternatives, "predicted_increase", lambda fit, effect: 70.0 if effect is payload else 30.0)
-    causes = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3))
+    causes = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(4))
     assert [cause.decrease for cause in causes] == ([49_000.0] if alone else [70.0, 30.0])
     assert all(cause.evidence.startswith("not fitted without it, out of time") != alone for cause in causes)
 

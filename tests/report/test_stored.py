@@ -76,7 +76,7 @@ def test_effects_of_reference_recordings_come_first(tmp_path: Path) -> None:
         ({"link": "tail"}, r"effects\[0\]\.link': got 'tail'; expected null or one of \['upper', 'fore'\]"),
         ({"link": "upper"}, r"key 'effects\[0\]\.link': got 'upper'; expected one of \['fore'\]"),
         (
-            {"parameters": {"mass": 0.1, "radius_of_gyration": 0.0, "colour": 1.0}},
+            {"parameters": {"mass": 0.1, "radius_of_gyration": 0.0, "offset": 0.0, "colour": 1.0}},
             r"key 'effects\[0\]\.parameters\.colour': unknown key",
         ),
         ({"parameters": {}}, r"key 'effects\[0\]\.parameters\.mass': missing"),
