@@ -102,7 +102,8 @@ def quantity(value: float, std: float | None, unit_name: str, digits: int = 2) -
     """Return a value with its standard error, if it has one, in an everyday unit: `13.30 ± 0.10 g`."""
     if not math.isfinite(value):
         return UNKNOWN
-    factor, name = everyday_unit(value, unit_name)
+    # The larger of the two says in what unit they read best.
+    factor, name = everyday_unit(std if std is not None and abs(value) < std < math.inf else value, unit_name)
     text = number(value / factor, digits) if std is None else with_error(value / factor, std / factor)
     separator = "" if name.startswith("°") and "±" not in text and "×" not in text else " "
     return f"{text}{separator}{name}".rstrip()

@@ -84,7 +84,7 @@ def test_from_raw_files_to_the_cause(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cause.effect == "tip_payload"
     assert mass.std is not None
     assert abs(mass.value - HIDDEN) < 3 * mass.std < 0.3 * HIDDEN  # two drives hardly show where its centre is
-    assert f"Cause found: unknown mass of {1e3 * mass.value:.3f} ± {1e3 * mass.std:.3f} g" in " ".join(said.split())
+    assert f"Cause found: unknown mass of {1e3 * mass.value:.2f} ± {1e3 * mass.std:.2f} g" in " ".join(said.split())
     alone = {each.effect: each for each in diagnosed.candidates if each.residual is not None}
     assert alone["tip_payload"].residual == pytest.approx(1.0, abs=0.1)
     assert diagnosed.gain is not None
@@ -95,5 +95,5 @@ def test_from_raw_files_to_the_cause(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert held_out.file == "run_3.csv"
     assert held_out.marker_rms_after_m == pytest.approx(3e-4, rel=0.1)
     page = (rig / "diagnosed" / "report.html").read_text(encoding="utf-8")
-    assert f"unknown mass of {1e3 * mass.value:.3f}" in page
+    assert f"unknown mass of {1e3 * mass.value:.2f}" in page
     assert (rig / "check" / "check.png").read_bytes().startswith(b"\x89PNG")

@@ -188,6 +188,8 @@ def test_every_effect_has_words(effect: Effect) -> None:
 
 def test_quantities_are_in_everyday_units() -> None:
     assert quantity(0.0133, 1.3e-4, "kg") == "13.30 ± 0.13 g"
+    assert quantity(0.0, 0.09, "m") == "0 ± 90 mm"  # not 90000 µm
+    assert quantity(1e-7, math.inf, "m") == "0.1000 µm"
     assert quantity(0.5, None, "kg") == "0.50 kg"
     assert quantity(math.pi / 180, None, "rad") == "1.0°"
     assert quantity(0.003366, 3e-6, "rad/(N m)", 4) == "3.3660 ± 0.0030 mrad/(N m)"  # as README.md has it
