@@ -90,7 +90,9 @@ def test_from_raw_files_to_the_cause(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert diagnosed.gain is not None
     assert alone["tip_payload"].holdout_rms_m == diagnosed.gain.holdout_rms_after_m
     (link,) = diagnosed.model.links
-    assert link.bending_stiffness.value == pytest.approx(BEAM.bending_stiffness, rel=0.005)
+    stiffness = link.bending_stiffness
+    assert stiffness.std is not None
+    assert abs(stiffness.value - BEAM.bending_stiffness) < 3 * stiffness.std < 0.02 * BEAM.bending_stiffness
     (held_out,) = (each for each in diagnosed.recordings if each.role == "holdout")
     assert held_out.file == "run_3.csv"
     assert held_out.marker_rms_after_m == pytest.approx(3e-4, rel=0.1)
