@@ -141,6 +141,23 @@ def test_parameters(arm: str) -> None:
 
 
 @pytest.mark.parametrize("arm", ARMS)
+def test_parameters_of_a_payload(arm: str) -> None:
+    chain, recording, state = ARMS[arm]()
+    body = {"payload": 0.05, "payload_offset": 0.04, "payload_inertia": 1e-4}
+
+    def loaded(name: str | None, by: float) -> Chain:
+        factors = {each: value * (1 + by * (each == name)) for each, value in body.items()}
+        return replace(chain, links=(*chain.links[:-1], replace(chain.links[-1], **factors)))
+
+    run = run_of(loaded(None, 0.0), recording, state)
+    found = of_one_stretch(run, [PerturbedArm(Arm(loaded(name, STEP)), STEP) for name in body])[:, -len(body) :]
+    expected = by_differences(run, [(state, loaded(name, STEP), state, loaded(name, -STEP)) for name in body])
+    for k, name in enumerate(body):
+        error = np.linalg.norm(found[:, k] - expected[:, k]) / np.linalg.norm(expected[:, k])
+        assert error < 0.02, (name, error)
+
+
+@pytest.mark.parametrize("arm", ARMS)
 def test_initial_state(arm: str) -> None:
     chain, recording, state = ARMS[arm]()
     run = run_of(chain, recording, state)
