@@ -270,6 +270,7 @@ def test_friction_is_at_active_joints_and_not_negative(friction: dict[str, float
         ({"joint": "clamped", "joint_stiffness": 0.1}, "beam.joint"),
         ({"root_damping": 0.1}, "beam.root_damping"),
         ({"rest_curvature": np.nan}, "beam.rest_curvature"),
+        ({"payload_offset": np.inf}, "beam.payload_offset"),
     ],
 )
 def test_what_is_at_no_joint_is_refused(changes: dict[str, object], fault: str) -> None:

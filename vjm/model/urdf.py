@@ -241,8 +241,9 @@ def _check(chain: Chain, friction: Mapping[str, float]) -> None:
     sizes = {f"friction[{name!r}]": value for name, value in friction.items()}
     for link in chain.links:
         sizes |= {f"{link.name}.hub_inertia": link.hub_inertia, f"{link.name}.payload": link.payload}
-        if not math.isfinite(link.rest_curvature):
-            raise ShapeError(f"{link.name}.rest_curvature", link.rest_curvature, "a finite number")
+        for field in ("rest_curvature", "payload_offset"):
+            if not math.isfinite(getattr(link, field)):
+                raise ShapeError(f"{link.name}.{field}", getattr(link, field), "a finite number")
         if link.joint == "clamped" and (link.joint_damping or link.joint_stiffness):
             raise ShapeError(f"{link.name}.joint", "a spring or damper at a clamped joint", "an active joint")
         if link.root_stiffness is None and link.root_damping:
