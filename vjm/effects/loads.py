@@ -55,13 +55,10 @@ class TipPayload(_TipEffect):
         if not total:
             return chain
         center = (link.payload * link.payload_offset + self.mass * self.offset) / total
-        bodies = ((link.payload, link.payload_offset, link.payload_inertia), self._body)
+        added = self.mass, self.offset, self.mass * self.radius_of_gyration**2
+        bodies = ((link.payload, link.payload_offset, link.payload_inertia), added)
         inertia = sum(own + mass * (offset - center) ** 2 for mass, offset, own in bodies)
         return self.with_link(chain, payload=total, payload_offset=center, payload_inertia=inertia)
-
-    @property
-    def _body(self) -> tuple[float, float, float]:
-        return self.mass, self.offset, self.mass * self.radius_of_gyration**2
 
 
 @dataclass(frozen=True)
