@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
 from vjm.diagnosis import candidate_fit, selection
 from vjm.diagnosis.alternatives import _with_errors
-from vjm.diagnosis.baseline import corrected_for_discretization, corrected_to_first_order
+from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     StoppingRule,
     _multistart,
@@ -139,7 +139,7 @@ def test_dry_friction_is_fitted_beside_the_error_of_a_coarse_chain(seed: int) ->
     fit = continued(found, np.inf)
     bias = first_order_bias(fit.point, RIG)
     assert bias is not None
-    corrected, shifted = (corrected_to_first_order(fit, RIG, bias.decrease * share) for share in (0.5, 1.5))
+    corrected, shifted = (corrected_for_discretization(fit, RIG, bias.decrease * share) for share in (0.5, 1.5))
     assert corrected is not None
     assert corrected.shift is not None
     # What the chain's error adds to chi^2 is gone; the chain stays, and what a beam's parameters are is said beside it.
@@ -151,7 +151,7 @@ def test_dry_friction_is_fitted_beside_the_error_of_a_coarse_chain(seed: int) ->
     assert abs(corrected.estimate[-1] - truth.coordinates[0]) < 3 * errors[-1]
     # An error that is negligible moves the estimates alone.
     assert shifted is not None
-    assert shifted.point is fit.point
+    assert shifted.chi2 == fit.chi2
     assert shifted.shift == pytest.approx(bias.shift)
 
 
@@ -164,7 +164,7 @@ def test_sizes_of_a_backlash_are_those_beside_more_joints(seed: int) -> None:
     found = refit(in_segments(recordings), [replace(truth, gap=0.012, flank_damping=2.5)])
     assert found is not None
     fit = continued(found, np.inf)
-    bias, corrected = first_order_bias(fit.point, RIG), corrected_to_first_order(fit, RIG, 0.0)
+    bias, corrected = first_order_bias(fit.point, RIG), corrected_for_discretization(fit, RIG)
     assert bias is not None
     assert corrected is not None
     assert corrected.shift is not None

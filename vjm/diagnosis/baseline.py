@@ -73,31 +73,34 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     return Baseline(fit, noise, prepared, (*search.data.problems, *unused))
 
 
-def corrected_for_discretization(fit: TrajectoryFit, rig: Rig, deadline: float = np.inf) -> TrajectoryFit | None:
+def corrected_for_discretization(
+    fit: TrajectoryFit, rig: Rig, negligible: float = 0.0, deadline: float = np.inf
+) -> TrajectoryFit | None:
     """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be.
 
-    None where that error cannot be told, or not before a reading of `time.monotonic`, the deadline [s].
+    None where that error cannot be told, or not before a reading of `time.monotonic`, the deadline [s]. With stick-slip
+    or play it is corrected to first order, but for a decrease of chi^2 that is negligible.
     """
     if fit.misfit > CLOSE_MISFIT:
         return fit
+    if is_nonsmooth(fit.effects):
+        return _corrected_to_first_order(fit, rig, negligible, deadline)
     bias = DiscretizationBias.of(fit.point, rig, CLOSE_MISFIT, deadline)
     return None if bias is None else bias.corrected(fit, CLOSE_MISFIT, deadline)
 
 
-def corrected_to_first_order(
-    fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float = np.inf
-) -> TrajectoryFit | None:
-    """Return a model with stick-slip or play beside its chain's discretization error, to first order.
+def _corrected_to_first_order(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
+    """Correct a model with stick-slip or play; where a joint only just sticks, further corrections need not settle.
 
-    Further corrections need not settle, where a joint only just sticks. Where a beam's chi^2 is lower by no more than
-    what is negligible, only the shift of the parameters is known of the result: a fit takes several times as long.
-
-    None where the error cannot be told, where what a beam leaves is more than noise and more than the chain leaves, or
-    after a reading of `time.monotonic`, the deadline [s].
+    Where a beam's chi^2 is lower by no more than what is negligible, its parameters alone are told: a fit takes several
+    times as long. None where what a beam leaves is more than noise and more than the chain leaves.
     """
     bias = None if monotonic() > deadline else first_order_bias(fit.point, rig)
-    if bias is None or bias.decrease <= negligible:
-        return None if bias is None else replace(fit, shift=bias.shift)
+    if bias is None:
+        return None
+    if bias.decrease <= negligible:
+        nothing = [np.zeros_like(difference) for difference in bias.offset]
+        return replace(fit, point=with_offset(fit.point, nothing), shift=bias.shift)
     point = with_offset(fit.point, bias.offset)
     states = [run.state for run in point.runs]
     try:
@@ -115,18 +118,17 @@ def corrected_again(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: f
     """Measure the discretization error beside the effects of a model, and refit; None where that cannot be done.
 
     Without these effects, initial states of a wrong model took their part, which finer chains do not take over: what
-    they lose looks like a discretization error, and biases damping. With stick-slip or play to first order.
+    they lose looks like a discretization error, and biases damping.
     """
-    if is_nonsmooth(fit.effects):
-        return corrected_to_first_order(fit, rig, negligible, deadline)
     if monotonic() > deadline:
         return None
     point = with_offset(fit.point, None)
     try:
-        plain = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+        if point is not fit.point:
+            fit = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    corrected = corrected_for_discretization(plain, rig, deadline)
+    corrected = corrected_for_discretization(fit, rig, negligible, deadline)
     return None if corrected is None or corrected.shift is None else corrected
 
 

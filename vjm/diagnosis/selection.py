@@ -19,7 +19,7 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_again, corrected_for_discretization, corrected_to_first_order
+from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_again, corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     LEAST_SHARE,
@@ -172,7 +172,7 @@ class Search:
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
             # is in none in these, within a standard error, will not find one in longer ones.
             settled = best.converged or best.predicted_decrease < 1.0
-            may_lengthen = settled and self._leaves_noise(best)
+            may_lengthen = settled and self._leaves_only_noise(best)
             if is_nonsmooth(best.effects) and self._segments_to_add(duration) is None and not may_lengthen:
                 break
             longer = self._lengthened(best, duration)
@@ -196,9 +196,9 @@ class Search:
         if best.new_effects and not self.out_of_time:
             self.report("converging")
             best = fits[best.effect_keys] = continued(best, self.deadline)
-            if whole or (is_nonsmooth(best.effects) and best.shift is None):
+            if whole or (is_nonsmooth(best.effects) and self._is_measurable(best)):
                 again = corrected_again(best, self.rig, self.options.negligible(best.chi2), self.deadline) or best
-                if again.point is not best.point:  # beside another discretization error others do not compare
+                if again.chi2 != best.chi2:  # beside another discretization error others do not compare
                     fits, family = {}, self.screen(again)
                 best = fits[best.effect_keys] = again
         justified = self._justified(best, fits)
@@ -221,9 +221,8 @@ class Search:
         fit, fits = stages[-1]
         if self.out_of_time:
             return fit, fits, self.screen(fit)
-        # That of stick-slip and play, which takes longer, is corrected where it may stand in for an effect.
         corrected = fit if is_nonsmooth(fit.effects) else self._corrected(fit)
-        while corrected is None and len(stages) > 1 and not self._leaves_noise(fit):
+        while corrected is None and len(stages) > 1 and not self._leaves_only_noise(fit):
             stages.pop()
             fit, fits = stages[-1]
         best = fits[fit.effect_keys] = corrected or fit
@@ -326,19 +325,15 @@ class Search:
         """Add effects to a model while they are needed; return it, and the score tests beside it.
 
         None instead of tests where the model leaves only noise, or what a finer chain does not leave, so that none were
-        made; with `small`, where an effect brings it so close that the discretization error must be measured first.
+        made; with `small`, where it is so close that the discretization error must be measured first. That of
+        stick-slip and play, which takes longer, must be where it may stand in for an effect.
         """
-        while small or not (self._leaves_noise(best) or self._finer_chain_explains(best)):
+        while small or not (self._leaves_only_noise(best) or self._finer_chain_explains(best)):
             family = self.screen(best)
             self._first_tests = self._first_tests or family
             needed = self.needed(best, family) if len(best.new_effects) < self.options.max_effects else []
             if small and needed and is_nonsmooth(best.effects) and self._is_measurable(best):
-                corrected = self._corrected(best)
-                if corrected is not None:
-                    best = corrected
-                    fits.clear()  # others, beside no discretization error, do not compare
-                    fits[best.effect_keys] = best
-                    continue
+                break
             trial = self._best_addition(best, family, needed, fits) if needed else None
             if trial is None or not self._matters(best, trial):
                 return best, family
@@ -385,12 +380,12 @@ class Search:
                 trial = self._best_fit(base, restarted, trial, fits) if restarted else trial
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
             trial = self._refined(best, trial, fits) if promising else trial
-            if self._leaves_noise(trial):
+            if self._leaves_only_noise(trial):
                 return trial
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
         if trial is not None and any(effect.adds_joint(best.point.chain) for effect in added):
             trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.deadline)
-        if base is not None and len(best.new_effects) == 1 and not self._leaves_noise(trial):
+        if base is not None and len(best.new_effects) == 1 and not self._leaves_only_noise(trial):
             trial = self._best_fit(base, self._pairs(base, best), trial, fits)
         return trial
 
@@ -452,7 +447,7 @@ class Search:
         sized = [starting_effect(*start, fit.point.chain) for start in starts]
         return (*fit.effects, *sized)
 
-    def _leaves_noise(self, fit: TrajectoryFit | None) -> bool:
+    def _leaves_only_noise(self, fit: TrajectoryFit | None) -> bool:
         """Return True if a model leaves only noise, within five standard deviations."""
         return fit is not None and bool(fit.chi2 < fit.point.noise_limit)
 
@@ -541,7 +536,7 @@ class Search:
         unexplained, present = best.chi2 - best.point.expected_chi2, best.effect_keys
         rivals = [fit for names, fit in fits.items() if len(names) == len(present) and names != present]
         second = min(rivals, key=self.options.criterion, default=None)
-        if second is None or self._leaves_noise(best) or second.chi2 - best.chi2 > unexplained:
+        if second is None or self._leaves_only_noise(best) or second.chi2 - best.chi2 > unexplained:
             return None
         return second
 
@@ -564,14 +559,14 @@ class Search:
         In segments, where the discretization error is not measured, further effects would stand in for it. It is tried
         where the model explains most of what the reduced one leaves.
         """
-        if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._leaves_noise(fit):
+        if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._leaves_only_noise(fit):
             return fit
         left, before = (model.chi2 - model.point.expected_chi2 for model in (fit, reduced))
         if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.out_of_time:
             return fit
         self.report("refining the chain")
         finer = refined(fit, self.rig, self.stop(fit.point.noise_limit))
-        if finer is None or not self._leaves_noise(finer):
+        if finer is None or not self._leaves_only_noise(finer):
             return fit
         fits[finer.effect_keys] = finer
         return finer
@@ -579,7 +574,6 @@ class Search:
     def _is_measurable(self, fit: TrajectoryFit) -> bool:
         """Return True if a model's discretization error is not known, and no smaller than what else is missing."""
         known = all(run.observed.discretization_offset is not None for run in fit.point.runs)
-        known = known or (is_nonsmooth(fit.effects) and fit.shift is not None)
         return not known and fit.misfit <= CLOSE_MISFIT and not self.out_of_time
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
@@ -588,10 +582,8 @@ class Search:
         One with stick-slip or play is fitted until it has converged before.
         """
         self.report("measuring the discretization error")
-        if is_nonsmooth(fit.effects):
-            fit = continued(fit, self.deadline)
-            return corrected_to_first_order(fit, self.rig, self.options.negligible(fit.chi2), self.deadline)
-        return corrected_for_discretization(fit, self.rig, self.deadline)
+        fit = continued(fit, self.deadline) if is_nonsmooth(fit.effects) else fit
+        return corrected_for_discretization(fit, self.rig, self.options.negligible(fit.chi2), self.deadline)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
