@@ -743,7 +743,7 @@ def test_what_a_finer_chain_explains_calls_for_no_effect(coefficient: float) -> 
     fit = in_segments(recorded(truth, 1, factor=2.5))
     search = selection.Search(RIG, fit, [], selection.SearchOptions(), lambda text: None)
     assert fit.point.noise_limit < fit.chi2 < 4 * fit.point.expected_chi2
-    assert search._finer_chain_explains(fit) == (not coefficient)
+    assert search._leaves_only_noise(fit) == (not coefficient)
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.02])

@@ -71,14 +71,18 @@ def test_a_payload_hangs_on_the_last_link() -> None:
 
 @pytest.mark.slow
 def test_what_a_coarse_chain_leaves_of_a_whipping_elbow_is_no_cause(tmp_path: Path) -> None:
-    """Eight joints a link leave 4 % more than noise in segments, for which a clamp or gear would stand in."""
+    """Eight joints a link leave 6 % more than noise in segments of 0.3 s, and 44 % in longer ones.
+
+    The discretization error cannot be measured in the latter, but in all segments of 0.3 s it can. In some of these, too
+    few for chi^2 to show it, a clamp or gear would stand in for it.
+    """
     seed = 10109
     planted = drawn("marker_offset", seed, 1.0)
     write_two_links(tmp_path, [planted], seed)
     effects = ["marker_offset", "clamp_compliance", "gear_elasticity"]
     diagnosis = vjm.diagnose(vjm.load_experiment(tmp_path / "experiment.toml"), effects, budget=float("inf"))
     (cause,) = diagnosis.causes
-    assert cause.effect.id == "marker_offset"
+    assert (diagnosis.verdict, cause.effect.id) == ("named", "marker_offset")
     for name in ("along", "across"):
         estimate = cause.parameters[name]
         assert estimate.value == pytest.approx(planted.parameters[name], abs=3 * (estimate.std or 0.0))

@@ -5,7 +5,8 @@ them, and goes on in all. Each step tests the candidates beside the best model, 
 the best if it is significant and large enough to matter, and drops effects that are no longer needed. The segments are
 then lengthened up to whole recordings. Small effects show best there and are searched for there, and on the way where
 longer segments no longer fit.
-Where the discretization error cannot be measured, the search ends with the longest segments in which it does not show.
+Where the discretization error cannot be measured, the search ends with the longest segments in which it can be, or in
+which it does not show.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import first_order_bias, refined
+from vjm.identification.discretization import first_order_bias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Rig
 from vjm.simulation.run import all_followed
@@ -212,8 +213,8 @@ class Search:
         """Add small effects that are needed beside a model corrected for its chain's discretization error.
 
         Over many periods this error looks like a small cause, and grows with the number of periods. Where it cannot be
-        measured, the search goes back to the longest segments whose residual is noise, or to the first
-        ones, and adds no small effects.
+        measured, the search goes back to the longest segments in which it can be or whose residual is noise, or to the
+        first ones. No small effects are added where it is not known.
 
         Args:
             stages: models fitted to ever longer segments, with all fits to these; stages gone back from are removed.
@@ -221,8 +222,9 @@ class Search:
         fit, fits = stages[-1]
         if self.out_of_time:
             return fit, fits, self.screen(fit)
-        corrected = fit if is_nonsmooth(fit.effects) else self._corrected(fit)
-        while corrected is None and len(stages) > 1 and not self._leaves_only_noise(fit):
+        while (corrected := fit if is_nonsmooth(fit.effects) else self._corrected(fit)) is None:
+            if len(stages) == 1 or fit.chi2 < fit.point.noise_limit:
+                break
             stages.pop()
             fit, fits = stages[-1]
         best = fits[fit.effect_keys] = corrected or fit
@@ -324,11 +326,11 @@ class Search:
     ) -> tuple[TrajectoryFit, FamilyTest | None]:
         """Add effects to a model while they are needed; return it, and the score tests beside it.
 
-        None instead of tests where the model leaves only noise, or what a finer chain does not leave, so that none were
-        made; with `small`, where it is so close that the discretization error must be measured first. That of
-        stick-slip and play, which takes longer, must be where it may stand in for an effect.
+        None instead of tests where the model leaves only noise, so that none were made; with `small`, where it is so
+        close that the discretization error must be measured first. That of stick-slip and play, which takes longer,
+        must be where it may stand in for an effect.
         """
-        while small or not (self._leaves_only_noise(best) or self._finer_chain_explains(best)):
+        while small or not self._leaves_only_noise(best):
             family = self.screen(best)
             self._first_tests = self._first_tests or family
             needed = self.needed(best, family) if len(best.new_effects) < self.options.max_effects else []
@@ -379,7 +381,6 @@ class Search:
                 restarted = list(filter(None, (self._from_base(base, best, effects) for effects in promising)))
                 trial = self._best_fit(base, restarted, trial, fits) if restarted else trial
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
-            trial = self._refined(best, trial, fits) if promising else trial
             if self._leaves_only_noise(trial):
                 return trial
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
@@ -448,13 +449,15 @@ class Search:
         return (*fit.effects, *sized)
 
     def _leaves_only_noise(self, fit: TrajectoryFit | None) -> bool:
-        """Return True if a model leaves only noise, within five standard deviations."""
-        return fit is not None and bool(fit.chi2 < fit.point.noise_limit)
+        """Return True if a model leaves only noise, within five standard deviations, or if a finer chain would.
 
-    def _finer_chain_explains(self, fit: TrajectoryFit) -> bool:
-        """Return True if only noise would be left of a finer chain, to first order."""
-        unknown = fit.shift is None and not is_nonsmooth(fit.effects) and fit.misfit < CLOSE_MISFIT
-        if not unknown or self.out_of_time:
+        Further effects would stand in for a discretization error that is not known. What a finer chain leaves is told
+        to first order, but not with stick-slip and play.
+        """
+        if fit is None or fit.chi2 < fit.point.noise_limit:
+            return fit is not None
+        told = fit.shift is not None or is_nonsmooth(fit.effects) or fit.misfit > CLOSE_MISFIT
+        if told or self.out_of_time:
             return False
         bias = first_order_bias(fit.point, self.rig)
         return bias is not None and fit.chi2 - bias.decrease < fit.point.noise_limit
@@ -552,24 +555,6 @@ class Search:
             self.p_values.setdefault(key, 1.0 if self._first_tests is None else self._first_tests.p_value(key))
             self._decreases.setdefault(key, replaced)  # nearly the same, or there would be no close second
         return best, fits
-
-    def _refined(self, reduced: TrajectoryFit, fit: TrajectoryFit | None, fits: Fits) -> TrajectoryFit | None:
-        """Return a model with twice as many joints, if that leaves only noise of it.
-
-        In segments, where the discretization error is not measured, further effects would stand in for it. It is tried
-        where the model explains most of what the reduced one leaves.
-        """
-        if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._leaves_only_noise(fit):
-            return fit
-        left, before = (model.chi2 - model.point.expected_chi2 for model in (fit, reduced))
-        if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.out_of_time:
-            return fit
-        self.report("refining the chain")
-        finer = refined(fit, self.rig, self.stop(fit.point.noise_limit))
-        if finer is None or not self._leaves_only_noise(finer):
-            return fit
-        fits[finer.effect_keys] = finer
-        return finer
 
     def _is_measurable(self, fit: TrajectoryFit) -> bool:
         """Return True if a model's discretization error is not known, and no smaller than what else is missing."""

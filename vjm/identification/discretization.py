@@ -8,7 +8,7 @@ extrapolation of the differences gives the offset of the predictions and the shi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
 from typing import NamedTuple, Self
@@ -147,15 +147,6 @@ def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
         for run, run_offset in zip(point.runs, [None] * len(point.runs) if offset is None else offset, strict=True)
     )
     return replace(point, problem=replace(point.problem, observed=tuple(run.observed for run in runs)), runs=runs)
-
-
-def refined(fit: TrajectoryFit, rig: Rig, stop: Callable[[Point, float], bool] | None = None) -> TrajectoryFit | None:
-    """Fit a model with twice as many joints; None where that cannot be simulated. `stop` is as of `fit_trajectory`."""
-    finer = _finer(fit.point, rig, 2)
-    try:
-        return fit_trajectory(finer, fit.point.x, None, _transferred_states(finer, fit.point), stop=stop)
-    except (SimulationDivergedError, InsufficientDataError):
-        return None
 
 
 def _refinement(point: Point) -> int:
