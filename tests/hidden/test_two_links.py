@@ -73,8 +73,8 @@ def test_a_payload_hangs_on_the_last_link() -> None:
 def test_what_a_coarse_chain_leaves_of_a_whipping_elbow_is_no_cause(tmp_path: Path) -> None:
     """Eight joints a link leave 6 % more than noise in segments of 0.3 s, and 44 % in longer ones.
 
-    The discretization error cannot be measured in the latter, but in all segments of 0.3 s it can. In some of these, too
-    few for chi^2 to show it, a clamp or gear would stand in for it.
+    The discretization error cannot be measured in the latter, but in all segments of 0.3 s it can. In some of these,
+    too few for chi^2 to show it, a clamp or gear would stand in for it.
     """
     seed = 10109
     planted = drawn("marker_offset", seed, 1.0)
