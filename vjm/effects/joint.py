@@ -388,8 +388,9 @@ class Backlash(JointEffect):
         """Return an instance for each joint and stiffness of the flanks, all with the same damping ratio."""
         started: list[Self] = []
         for variant in super().variants(rig, recordings):
-            gap, motor_share, stiffness, _ = variant.coordinates  # the last two are logarithms
-            started.append(variant.at(np.array([gap, motor_share, stiffness, stiffness / 2])))
+            typical = variant.at(np.zeros(variant.coordinates.size))
+            damping = typical.flank_damping * float(np.sqrt(variant.flank_stiffness / typical.flank_stiffness))
+            started.append(replace(variant, flank_damping=damping))
         return tuple(started)
 
     def chain(self, chain: Chain) -> Chain:
