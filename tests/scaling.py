@@ -20,6 +20,8 @@ def scaled(experiment: Experiment, length: float, mass: float, time: float) -> E
             markers=tuple(length * marker for marker in one.markers),
             hub_inertia=mass * length**2 * one.hub_inertia,
             payload=mass * one.payload,
+            payload_offset=length * one.payload_offset,
+            payload_inertia=mass * length**2 * one.payload_inertia,
             width=None,
             thickness=None,
             youngs_modulus=None,
@@ -32,6 +34,8 @@ def scaled(experiment: Experiment, length: float, mass: float, time: float) -> E
             markers=length * one.markers,
             tau=torque * one.tau,
             payload=mass * one.payload,
+            payload_offset=length * one.payload_offset,
+            payload_inertia=mass * length**2 * one.payload_inertia,
             gravity=tuple(acceleration * value for value in one.gravity),
         )
 

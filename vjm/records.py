@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.errors import require_choice
+from vjm.experiment.payload import NO_PAYLOAD as NO_PAYLOAD
+from vjm.experiment.payload import Payload as Payload
 from vjm.experiment.records import Array as Array
 from vjm.experiment.records import Complex as Complex
 from vjm.experiment.records import Experiment as Experiment

@@ -12,7 +12,7 @@ from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, foun
 from vjm.diagnosis.symptoms import Symptom, Symptoms
 from vjm.diagnosis.symptoms.channels import Channels
 from vjm.diagnosis.symptoms.modes import _Fit, _free_interval
-from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
+from vjm.records import NO_PAYLOAD, Link, Payload, Recording, Rig, SimulatedRecording, Simulation
 
 
 def cut(whole: SimulatedRecording, rows: object, **changes: object) -> SimulatedRecording:
@@ -44,7 +44,7 @@ def test_sensors_that_are_missing_are_done_without() -> None:
         recording, markers=np.full_like(recording.markers, np.nan), theta=np.full_like(recording.theta, np.nan)
     )
     assert found(replace(whole, recording=blind)).found == ()
-    assert Symptoms.of(RIG, [], {0.0: FREQUENCIES}).found == ()
+    assert Symptoms.of(RIG, [], {NO_PAYLOAD: FREQUENCIES}).found == ()
 
 
 def test_slopes_of_the_oscillators_are_those_of_what_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_conditions_are_told_in_words() -> None:
     decay = simulated(0, clamped=True, kind="decay", duration=10)
     loaded = replace(decay, recording=replace(decay.recording, payload=0.05, condition="reference"))
     assert {free.condition for free in found(decay).recordings[0].modes.free} == {""}
-    result = Symptoms.of(CLAMPED, [loaded], {0.05: FREQUENCIES})
+    result = Symptoms.of(CLAMPED, [loaded], {Payload(0.05): FREQUENCIES})
     assert {free.condition for free in result.recordings[0].modes.free} == {"payload 50 g, reference"}
 
 

@@ -26,6 +26,7 @@ from tests.diagnosis.trajectories import (
     the,
 )
 from vjm.diagnosis.symptoms import Symptoms
+from vjm.records import NO_PAYLOAD, Payload
 
 Array = NDArray[np.float64]
 seeds = pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
@@ -300,7 +301,7 @@ def test_a_payload_of_one_recording_has_frequencies_of_its_own() -> None:
     truth = replace(loaded, frequencies=(1.0, 6.6 * 1.003))
     heavy = simulated(1, truth, loaded, file="heavy.csv")
     heavy = replace(heavy, recording=replace(heavy.recording, payload=0.05))
-    result = Symptoms.of(RIG, [simulated(0), heavy], {0.0: FREQUENCIES, 0.05: (1.0, 6.6)})
+    result = Symptoms.of(RIG, [simulated(0), heavy], {NO_PAYLOAD: FREQUENCIES, Payload(0.05): (1.0, 6.6)})
     found_ = the(result, "frequency", mode=1)
     assert_found(result, found_, 0.003)
     assert {each.recording for each in result.significant} == {"heavy.csv"}
@@ -325,7 +326,7 @@ def test_a_payload_is_not_taken_for_softening(seed: int) -> None:
         simulated(2 * seed + 1, heavy, MOTION, clamped=True, kind="decay", duration=10, file="heavy.csv"),
     ]
     both[1] = replace(both[1], recording=replace(both[1].recording, payload=0.05))
-    result = Symptoms.of(CLAMPED, both, {0.0: FREQUENCIES, 0.05: FREQUENCIES})
+    result = Symptoms.of(CLAMPED, both, {NO_PAYLOAD: FREQUENCIES, Payload(0.05): FREQUENCIES})
     assert the(result, "frequency", mode=0).value == pytest.approx(-0.01, rel=0.05)
     assert "frequency_with_amplitude" not in kinds(result)
     trend = the(result, "frequency_with_amplitude", mode=0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.symptoms import Symptom, Symptoms
-from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
+from vjm.records import NO_PAYLOAD, Link, Recording, Rig, SimulatedRecording, Simulation
 
 Array = NDArray[np.float64]
 Change = Callable[[Array, Array, Array], tuple[Array, Array]]
@@ -135,7 +135,7 @@ def simulated(
 def found(*recordings: SimulatedRecording) -> Symptoms:
     """The symptoms of recordings, at the two modes' frequencies."""
     clamped = any(one.simulation.theta.shape[1] == 0 for one in recordings)
-    return Symptoms.of(CLAMPED if clamped else RIG, recordings, {0.0: FREQUENCIES})
+    return Symptoms.of(CLAMPED if clamped else RIG, recordings, {NO_PAYLOAD: FREQUENCIES})
 
 
 def the(result: Symptoms, kind: str, sensor: str | None = None, mode: int | None = None) -> Symptom:

@@ -14,7 +14,7 @@ from tests.effects.setups import FORE, LINK, POST, chain_of, recording_of
 from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
 from vjm.effects import ActuatorLag, Cogging, CoulombFriction, Effect, Stribeck, TorqueSaturation
-from vjm.records import Recording, Rig
+from vjm.records import NO_PAYLOAD, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 
@@ -188,7 +188,7 @@ def test_an_arm_that_is_never_driven_shows_no_limit() -> None:
 def test_cogging_is_a_wave_of_the_joint_s_angle() -> None:
     chain, rng = chain_of(POST, LINK), np.random.default_rng(2)
     joint, q = chain.active[0], rng.normal(size=(50, chain.size))
-    force = Cogging(amplitude=0.02, count=18.0, phase=0.4, link=1).force(chain, 0.0)
+    force = Cogging(amplitude=0.02, count=18.0, phase=0.4, link=1).force(chain, NO_PAYLOAD)
     assert force is not None
     found = force(np.zeros(50), q, 0 * q, np.zeros((50, 0)))
     assert found[:, joint] == pytest.approx(0.02 * np.sin(18.0 * q[:, joint] + 0.4))

@@ -22,7 +22,7 @@ from vjm.effects import BaseCompliance, ExternalTone, GearElasticity, LinearDrag
 from vjm.effects.loads import Rods
 from vjm.model.dynamics import Mechanism, torque_errors
 from vjm.model.modes import linearise, modes
-from vjm.records import Rig
+from vjm.records import NO_PAYLOAD, Payload, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs
@@ -102,10 +102,10 @@ def test_weight_moves_nothing_but_the_arm() -> None:
     """The table stands where its load holds it; what it carries hangs as on the ground."""
     plain, gravity = chain_of(POST), (3.0, -9.81)
     chain = moving(plain)
-    rest = linearise(chain, 0.05, gravity)[3]
+    rest = linearise(chain, Payload(0.05), gravity)[3]
     assert rest[0] == pytest.approx(0.0, abs=1e-12)
-    assert rest[1:] == pytest.approx(linearise(plain, 0.05, gravity)[3], abs=1e-12)
-    mechanism, still = Mechanism(chain, 0.05, gravity), np.zeros((1, chain.size))
+    assert rest[1:] == pytest.approx(linearise(plain, Payload(0.05), gravity)[3], abs=1e-12)
+    mechanism, still = Mechanism(chain, Payload(0.05), gravity), np.zeros((1, chain.size))
     a = mechanism.forward_dynamics(rest[None], still, -chain.stiffness * rest[None])
     assert a == pytest.approx(still, abs=1e-6)
     assert mechanism.inverse_dynamics(rest[None], still, a)[0] == pytest.approx(-chain.stiffness * rest, abs=1e-9)
@@ -113,7 +113,9 @@ def test_weight_moves_nothing_but_the_arm() -> None:
 
 def test_it_falls_with_a_payload_only_where_that_was_not_there() -> None:
     chain = moving(chain_of(LINK))
-    errors = torque_errors(chain, *np.zeros((3, 4, chain.size)), np.zeros((4, 1)), payload=0.1, gravity=(0.0, 0.0))
+    errors = torque_errors(
+        chain, *np.zeros((3, 4, chain.size)), np.zeros((4, 1)), payload=Payload(0.1), gravity=(0.0, 0.0)
+    )
     assert not errors.any()
 
 
@@ -201,7 +203,7 @@ def test_it_goes_with_other_effects_in_any_order() -> None:
     one, two = (Arm.of(chain_of(LINK), effects) for effects in ((TABLE, *others), (*others, TABLE)))
     assert one.chain.joint_names == two.chain.joint_names
     q, v = np.random.default_rng(2).normal(size=(2, one.chain.size))
-    forces = [arm.forces(0.0) for arm in (one, two)]
+    forces = [arm.forces(NO_PAYLOAD) for arm in (one, two)]
     found = [force(np.array(0.3), q, v, np.zeros(0)) for force in forces if force is not None]
     assert found[0] == pytest.approx(found[1])
     assert found[0][0] != 0.0

@@ -16,6 +16,7 @@ from vjm.chain.layout import layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Array, Chain, LinkChain
 from vjm.effects import StiffnessAsymmetry, Taper
 from vjm.model.modes import modes
+from vjm.records import NO_PAYLOAD
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 
@@ -78,7 +79,7 @@ def test_a_taper_of_one_link_leaves_the_others() -> None:
 
 
 def push(ratio: float, q: Array, chain: Chain) -> Array:
-    motion = StiffnessAsymmetry(ratio=ratio).force(chain, 0.0)
+    motion = StiffnessAsymmetry(ratio=ratio).force(chain, NO_PAYLOAD)
     assert motion is not None
     return motion(np.zeros(q.shape[:-1]), q, 0 * q, np.zeros((*q.shape[:-1], 0)))
 

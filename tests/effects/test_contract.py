@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
 from vjm.effects import BUILTIN, Backlash, Effect, GearElasticity, TipPayload, magnitude
 from vjm.errors import ShapeError
-from vjm.records import Rig
+from vjm.records import Payload, Rig
 
 TABLE = Path(__file__).parents[3] / "shared" / "EFFECTS.md"
 
@@ -126,10 +126,11 @@ def test_what_effects_do_scales_with_the_rig(length: float, mass: float, time: f
         assert after.stiffness == pytest.approx(torque / angle**2 * before.stiffness), effect.id
         assert after.damping == pytest.approx(torque * time / angle**2 * before.damping), effect.id
         assert other.max_step(after) == pytest.approx(time * one.max_step(before)), effect.id
+        loads = Payload(0.1, 0.02, 1e-4), Payload(0.1 * mass, 0.02 * length, 1e-4 * mass * length**2)
         for hook, unit in (("force", torque), ("state_rates", 1 / time)):
             functions = [
                 getattr(present, hook)(chain, *((payload,) if hook == "force" else ()))
-                for present, chain, payload in ((one, before, 0.1), (other, after, 0.1 * mass))
+                for present, chain, payload in zip((one, other), (before, after), loads, strict=True)
             ]
             if None not in functions:
                 first, second = (f(np.array(0.7 * t), q, v / t, z) for f, t in zip(functions, (1.0, time), strict=True))

@@ -38,7 +38,7 @@ from vjm.effects import (
     ViscousFriction,
 )
 from vjm.model.modes import linearise, modes, modes_of
-from vjm.records import Recording, Rig
+from vjm.records import NO_PAYLOAD, Payload, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.stick_slip import under_friction
@@ -49,7 +49,7 @@ LOSSES = [effect for effect in PRESENT if effect.dissipative and not effect.nons
 
 
 def force(effect: Effect, chain: Chain, q: Array, v: Array, time: float = 0.0, states: Sequence[float] = ()) -> Array:
-    motion = effect.force(chain, 0.0)
+    motion = effect.force(chain, NO_PAYLOAD)
     assert motion is not None
     return motion(np.array(time), q, v, np.array(states))
 
@@ -262,7 +262,7 @@ def test_a_mass_on_the_tip_joins_the_one_that_is_there() -> None:
     loaded = TipPayload(mass=0.01, radius_of_gyration=0.05).chain(TipPayload(0.03, 0.1).chain(chain))
     assert [link.payload for link in loaded.links] == pytest.approx([0.0, 0.06])
     assert [link.payload_inertia for link in loaded.links] == pytest.approx([0.0, 0.01 * 0.05**2 + 0.03 * 0.1**2])
-    assert modes(TipPayload(mass=0.03).chain(HUB)).frequencies == pytest.approx(modes(HUB, payload=0.03).frequencies)
+    assert modes(TipPayload(mass=0.03).chain(HUB)).frequencies == pytest.approx(modes(HUB, Payload(0.03)).frequencies)
     beyond = TipPayload(0.01, 0.05, 0.09).chain(TipPayload(0.03, 0.1, -0.03).chain(chain)).links[1]
     assert (beyond.payload, beyond.payload_offset) == pytest.approx((0.06, 0.0))
     assert beyond.payload_inertia == pytest.approx(0.01 * (0.05**2 + 0.09**2) + 0.03 * (0.1**2 + 0.03**2))
@@ -312,13 +312,13 @@ def test_curvature_at_rest_adds_up() -> None:
 def test_structural_damping_gives_every_mode_half_the_loss_factor(links: Sequence) -> None:  # type: ignore[type-arg]
     chain = chain_of(*links, n=3, kelvin_voigt=0.0)
     effects = [StructuralDamping(loss_factor=0.02, link=i) for i in range(len(links))]
-    M, _, K, _ = linearise(chain, 0.05)
-    C = sum(effect.modal_damping(chain, 0.05) for effect in effects)
+    M, _, K, _ = linearise(chain, Payload(0.05))
+    C = sum(effect.modal_damping(chain, Payload(0.05)) for effect in effects)
     assert modes_of(M, C, K).damping_ratios == pytest.approx(0.01)
     # No loss without bending: a rigid turn, or a link with none of the strain energy.
     if links == (LINK,):
         v = np.eye(chain.size)[0]
-        motion = effects[0].force(chain, 0.05)
+        motion = effects[0].force(chain, Payload(0.05))
         assert motion is not None
         drift = v - modes_of(M, C, K).shapes @ (modes_of(M, C, K).shapes.T @ M @ v)
         still = effects[0].initial_states(chain, v)
@@ -330,7 +330,7 @@ def complex_stiffness(effect: Effect, chain: Chain, pulsation: float) -> Array:
     n = chain.size
     count = effect.initial_states(chain, np.zeros(n)).size
     units, still = np.eye(n), np.zeros((n, n))
-    force, rates = effect.force(chain, 0.0), effect.state_rates(chain)
+    force, rates = effect.force(chain, NO_PAYLOAD), effect.state_rates(chain)
     assert force is not None
     assert rates is not None
     time, no_states = np.zeros(n), np.zeros((n, count))
@@ -371,7 +371,7 @@ def test_structural_damping_loses_the_same_at_all_frequencies_and_stiffens_as_ca
     # The rest is a damper in each mode.
     rest = complex_stiffness(effect, chain, omega[0]) - complex_stiffness(relaxing, chain, omega[0])
     assert rest.real == pytest.approx(0.0, abs=1e-9)
-    assert rest.imag == pytest.approx((1 - dispersion) * omega[0] * effect.modal_damping(chain, 0.0), abs=1e-9)
+    assert rest.imag == pytest.approx((1 - dispersion) * omega[0] * effect.modal_damping(chain, NO_PAYLOAD), abs=1e-9)
 
 
 @pytest.mark.parametrize("longest", [2.0, 10.0, 50.0])
@@ -404,7 +404,7 @@ def test_structural_damping_of_one_link_follows_its_share_of_the_energy() -> Non
     stiff = chain_of(replace(LINK, bending_stiffness=1e5), replace(FORE, bending_stiffness=0.5), n=3, kelvin_voigt=0.0)
     M, _, K, _ = linearise(stiff)
     ratios = [
-        modes_of(M, StructuralDamping(loss_factor=0.02, link=i).modal_damping(stiff, 0.0), K).damping_ratios[0]
+        modes_of(M, StructuralDamping(loss_factor=0.02, link=i).modal_damping(stiff, NO_PAYLOAD), K).damping_ratios[0]
         for i in (0, 1)
     ]
     assert ratios[0] < 1e-6
@@ -455,7 +455,7 @@ def test_dissipative_effects_never_do_positive_work(chain: Chain, seed: int, eff
     present = placed_first(effect)
     extended = present.chain(chain)
     total = -v * v * (extended.damping - chain.damping)
-    motion = present.force(extended, 0.0)
+    motion = present.force(extended, NO_PAYLOAD)
     if motion is not None:
         total = total + v * motion(np.zeros(30), q, v, np.zeros((30, 0)))
     power = total.sum(axis=-1)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.effects.setups import LINK, chain_of
 from vjm.chain.virtual_links import Array
 from vjm.effects import Effect, Hysteresis, ViscoelasticCreep
+from vjm.records import NO_PAYLOAD
 
 CHAIN = chain_of(LINK, n=1)
 STIFFNESS = CHAIN.stiffness[1]
@@ -17,7 +18,7 @@ STIFFNESS = CHAIN.stiffness[1]
 
 def followed(effect: Effect, time: Array, phi: Array) -> tuple[Array, Array]:
     """The joint's extra moment and the internal state over time, for angles (T,), by Runge-Kutta steps."""
-    rates, force = effect.state_rates(CHAIN), effect.force(CHAIN, 0.0)
+    rates, force = effect.state_rates(CHAIN), effect.force(CHAIN, NO_PAYLOAD)
     assert rates is not None
     assert force is not None
     q = np.stack([0 * phi, phi], axis=-1)
@@ -121,7 +122,7 @@ def test_there_is_a_state_for_each_virtual_joint_of_its_link() -> None:
     chain = chain_of(LINK, LINK, n=3)
     for effect in (ViscoelasticCreep(ratio=0.1, link=1), Hysteresis(ratio=0.1, link=1)):
         assert effect.initial_states(chain, np.zeros(chain.size)).shape == (3,)
-        motion, rates = effect.force(chain, 0.0), effect.state_rates(chain)
+        motion, rates = effect.force(chain, NO_PAYLOAD), effect.state_rates(chain)
         assert motion is not None
         assert rates is not None
         q = np.zeros(chain.size)

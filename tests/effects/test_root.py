@@ -13,7 +13,7 @@ from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity
 from vjm.model.modes import modes
-from vjm.records import Rig
+from vjm.records import NO_PAYLOAD, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs
@@ -114,7 +114,7 @@ def flank_torque(twist: Array, rate: float = 0.0, gap: float = GAP) -> Array:
     """Torque of motor on hub."""
     arm = Arm.of(HUB, [Backlash(link=0, gap=gap, flank_stiffness=STIFFNESS, flank_damping=DAMPING)])
     (contact,), root, (stiffness, damping) = arm.contacts, arm.chain.roots[0], arm.springs
-    assert arm.forces(0.0) is None
+    assert arm.forces(NO_PAYLOAD) is None
     assert contact.joint == root
     # Apart from its flanks the joint turns freely, and they change nothing else.
     assert (stiffness[root], damping[root]) == (0.0, 0.0)

@@ -30,7 +30,7 @@ from vjm.identification.check import failure_of
 from vjm.identification.mistakes import find_mistakes
 from vjm.identification.mistakes.geometry import heading_mistakes
 from vjm.model.modes import linearise
-from vjm.records import Experiment, Link, Recording, RecordingComparison, Rig
+from vjm.records import Experiment, Link, Payload, Recording, RecordingComparison, Rig
 from vjm.simulation.arm import Arm
 
 DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
@@ -408,7 +408,7 @@ def hanging(
         empty = np.full((instants.size, 5, 2), np.nan)
         given = {"kind": "driven" if driven else "decay", "file": f"r{k}.csv", "gravity": gravity, "payload": carried}
         blank = Recording(instants, empty, 0 * torque, torque, **given)
-        start = linearise(chain, carried, gravity)[3]
+        start = linearise(chain, Payload(carried), gravity)[3]
         start = start if driven else start + (0.4 if revolute else 0.02) * np.linspace(1.0, 0.3, start.size)
         arm, rates = Arm.of(chain, friction), np.zeros(chain.size)
         rates[:1] = turning

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.records import Payload
 
 Array = NDArray[np.float64]
 _STEP = 1e-30  # of the complex-step derivative, which has no rounding error
@@ -48,12 +49,12 @@ class TwoBodies:
     gravity: tuple[float, float]
 
     @classmethod
-    def of(cls, link: LinkChain, payload: float, gravity: tuple[float, float]) -> TwoBodies:
+    def of(cls, link: LinkChain, payload: Payload, gravity: tuple[float, float]) -> TwoBodies:
         """The constants of a link with one virtual joint."""
         (l0, l1), (m0, m1), (c0, c1), (i0, i1) = link.lengths, link.masses, link.mass_centers, link.inertias
-        carried = ((link.payload, l1 + link.payload_offset), (payload, l1))
+        carried = ((link.payload, l1 + link.payload_offset), (payload.mass, l1 + payload.offset))
         p, first = (sum(m * r**k for m, r in carried) for k in (0, 1))
-        second = sum(m * r**2 for m, r in carried) + link.payload_inertia
+        second = sum(m * r**2 for m, r in carried) + link.payload_inertia + payload.inertia
         return cls(
             alpha=link.hub_inertia + i0 + m0 * c0**2 + (m1 + p) * l0**2,
             beta=i1 + m1 * c1**2 + second,

@@ -15,12 +15,13 @@ from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
 from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise, modes, modes_of
+from vjm.records import NO_PAYLOAD, Payload
 
 STILL = (0.0, 0.0)
 
 
-@pytest.mark.parametrize("payload", [0.0, 0.16])
-def test_clamped_link_with_one_joint(payload: float) -> None:
+@pytest.mark.parametrize("payload", [NO_PAYLOAD, Payload(0.16), Payload(0.16, 0.05, 4e-4)])
+def test_clamped_link_with_one_joint(payload: Payload) -> None:
     """Beta phi'' + D phi' + K phi = 0: omega = sqrt(K / beta), zeta = D / (2 sqrt(K beta))."""
     chain = one_joint_arm("clamped")
     closed = TwoBodies.of(chain.links[0], payload, STILL)
@@ -31,8 +32,8 @@ def test_clamped_link_with_one_joint(payload: float) -> None:
     np.testing.assert_allclose(np.abs(found.shapes), [[closed.beta**-0.5]], rtol=1e-12)
 
 
-@pytest.mark.parametrize("payload", [0.0, 0.16])
-def test_free_hub_with_one_joint(payload: float) -> None:
+@pytest.mark.parametrize("payload", [NO_PAYLOAD, Payload(0.16), Payload(0.16, 0.05, 4e-4)])
+def test_free_hub_with_one_joint(payload: Payload) -> None:
     """Angular momentum is nil: theta = -(M12 / M11) phi; so (det M / M11) phi'' + D phi' + K phi = 0."""
     chain = one_joint_arm("revolute")
     closed = TwoBodies.of(chain.links[0], payload, STILL)
@@ -53,7 +54,7 @@ def test_a_heavy_hub_is_a_clamp() -> None:
 @pytest.mark.parametrize("pull", [9.81, -3.0])
 def test_gravity_along_the_link_stiffens_it(pull: float) -> None:
     chain = one_joint_arm("clamped")
-    closed = TwoBodies.of(chain.links[0], 0.0, STILL)
+    closed = TwoBodies.of(chain.links[0], NO_PAYLOAD, STILL)
     omega = np.sqrt((closed.stiffness + closed.mu1 * pull) / closed.beta)
     found = modes(chain, gravity=(pull, 0.0))
     np.testing.assert_allclose(found.frequencies, [omega / (2 * np.pi)], rtol=1e-12)
@@ -64,9 +65,9 @@ def test_gravity_along_the_link_stiffens_it(pull: float) -> None:
 def test_rest_is_where_the_spring_holds_the_weight(theta: float) -> None:
     """K phi = mu1 g cos(theta + phi) for gravity -g along y, downwards bending being negative."""
     chain = one_joint_arm("revolute")
-    closed = TwoBodies.of(chain.links[0], 0.16, (0.0, -9.81))
+    closed = TwoBodies.of(chain.links[0], Payload(0.16), (0.0, -9.81))
     phi = brentq(lambda x: closed.stiffness * x + 9.81 * closed.mu1 * np.cos(theta + x), -3, 3, xtol=1e-15)
-    _, _, K, found = linearise(chain, 0.16, (0.0, -9.81), theta)
+    _, _, K, found = linearise(chain, Payload(0.16), (0.0, -9.81), theta)
     np.testing.assert_allclose(found, [theta, phi], atol=1e-11)
     sine = 9.81 * np.array([closed.mu0 * np.sin(theta), closed.mu1 * np.sin(theta + phi)])
     expected = [[-sine.sum(), -sine[1]], [-sine[1], closed.stiffness - sine[1]]]
@@ -118,9 +119,11 @@ def test_linear_equations_are_those_of_the_angles_asked_for(chain: Chain) -> Non
     """Also where another angle was asked for just before, and what came out of that was changed."""
     gravity = (0.0, 0.0)
     for theta in np.linspace(-1.0, 1.0, 3):
-        M, _, _, q = linearise(chain, 0.0, gravity, theta)
+        M, _, _, q = linearise(chain, NO_PAYLOAD, gravity, theta)
         np.testing.assert_array_equal(q[chain.active], theta)
-        np.testing.assert_allclose(M, mechanism_of(chain, 0.0, gravity).mass_matrix(q[None])[0], rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(
+            M, mechanism_of(chain, NO_PAYLOAD, gravity).mass_matrix(q[None])[0], rtol=1e-9, atol=1e-15
+        )
         q += 1.0
 
 

@@ -15,6 +15,7 @@ from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InputError, ShapeError
 from vjm.model.dynamics import Mechanism
+from vjm.records import NO_PAYLOAD, Payload
 
 Array = NDArray[np.float64]
 
@@ -24,9 +25,9 @@ def bias(mechanism: Mechanism, q: Array, v: Array) -> Array:
     return mechanism.inverse_dynamics(q, v, np.zeros_like(v))
 
 
-@pytest.mark.parametrize("payload", [0.0, 0.16])
+@pytest.mark.parametrize("payload", [NO_PAYLOAD, Payload(0.16), Payload(0.16, 0.05, 4e-4)])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_active_joint_and_virtual_joint_in_closed_form(payload: float, seed: int) -> None:
+def test_active_joint_and_virtual_joint_in_closed_form(payload: Payload, seed: int) -> None:
     chain = one_joint_arm("revolute")
     q, v, a = random_motion(chain, 7, seed)
     closed = TwoBodies.of(chain.links[0], payload, GRAVITY)
@@ -39,8 +40,8 @@ def test_active_joint_and_virtual_joint_in_closed_form(payload: float, seed: int
     )
 
 
-@pytest.mark.parametrize("payload", [0.0, 0.16])
-def test_clamped_link_has_one_moving_body(payload: float) -> None:
+@pytest.mark.parametrize("payload", [NO_PAYLOAD, Payload(0.16), Payload(0.16, 0.05, 4e-4)])
+def test_clamped_link_has_one_moving_body(payload: Payload) -> None:
     chain = one_joint_arm("clamped")
     q, v, a = random_motion(chain, 6, 5)
     closed = TwoBodies.of(chain.links[0], payload, GRAVITY)
@@ -53,7 +54,7 @@ def test_clamped_link_has_one_moving_body(payload: float) -> None:
 
 def test_closed_form_is_the_lagrangian_s() -> None:
     chain = one_joint_arm("revolute")
-    closed = TwoBodies.of(chain.links[0], 0.0, GRAVITY)
+    closed = TwoBodies.of(chain.links[0], NO_PAYLOAD, GRAVITY)
     for q, v in zip(*random_motion(chain, 8, 6)[:2], strict=True):
         np.testing.assert_allclose(closed.mass_matrix(q[1:])[0], lagrange_mass_matrix(chain, q), rtol=1e-13)
         np.testing.assert_allclose(closed.bias(*q[:, None], *v[:, None])[0], lagrange_bias(chain, q, v), rtol=1e-11)
@@ -146,20 +147,27 @@ def test_forward_dynamics_is_the_inverse_of_inverse_dynamics(seed: int, chain: C
 def test_gravity_given_replaces_the_chain_s() -> None:
     chain = one_joint_arm("revolute")
     q, rest, _ = random_motion(chain, 3, 9)
-    other = TwoBodies.of(chain.links[0], 0.0, (0.5, 3.0)).bias(*q.T, *rest.T)
+    other = TwoBodies.of(chain.links[0], NO_PAYLOAD, (0.5, 3.0)).bias(*q.T, *rest.T)
     np.testing.assert_allclose(bias(Mechanism(chain, gravity=(0.5, 3.0)), q, rest), other, rtol=1e-11)
     assert not bias(Mechanism(chain, gravity=(0.0, 0.0)), q, 0 * rest).any()
 
 
 def test_extra_payload_hangs_on_the_last_tip_only() -> None:
-    first, second, heavy = (
-        one_joint_arm("revolute", **changes).links[0]
-        for changes in ({}, {"payload": 0.11, "payload_offset": 0.0}, {"payload": 0.11 + 0.2, "payload_offset": 0.0})
-    )
+    """Two bodies on one tip are one about their common centre, by the parallel axis theorem."""
+    one = {"payload": 0.11, "payload_offset": 0.0, "payload_inertia": 1e-4}
+    center = 0.2 * 0.03 / 0.31
+    both = {
+        "payload": 0.31,
+        "payload_offset": center,
+        "payload_inertia": 1e-4 + 0.11 * center**2 + 2e-4 + 0.2 * (0.03 - center) ** 2,
+    }
+    first, second, heavy = (one_joint_arm("revolute", **changes).links[0] for changes in ({}, one, both))
     chain, heavier = Chain("arm", (first, second), GRAVITY), Chain("arm", (first, heavy), GRAVITY)
     motion = random_motion(chain, 3, 10)
     np.testing.assert_allclose(
-        Mechanism(chain, 0.2).inverse_dynamics(*motion), Mechanism(heavier).inverse_dynamics(*motion), rtol=1e-12
+        Mechanism(chain, Payload(0.2, 0.03, 2e-4)).inverse_dynamics(*motion),
+        Mechanism(heavier).inverse_dynamics(*motion),
+        rtol=1e-12,
     )
 
 
@@ -167,7 +175,7 @@ def test_extra_payload_hangs_on_the_last_tip_only() -> None:
 @settings(max_examples=20, deadline=None)
 def test_derivatives_are_those_of_inverse_dynamics(chain: Chain, seed: int) -> None:
     motion = random_motion(chain, 3, seed)
-    mechanism, step = Mechanism(chain, 0.1), 1e-5
+    mechanism, step = Mechanism(chain, Payload(0.1, 0.02, 1e-4)), 1e-5
     for k, found in enumerate(mechanism.derivatives(*motion)):
         for column, change in enumerate(step * np.eye(chain.size)):
             ahead, behind = (

@@ -19,9 +19,10 @@ from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
 from vjm.model.dynamics import objective, torque_errors
+from vjm.records import Payload
 
 Array = NDArray[np.float64]
-PAYLOAD = 0.16
+PAYLOAD = Payload(0.16, 0.03, 2e-4)
 BODY_FIELDS = ("lengths", "mass_centers", "masses", "inertias")
 JOINT_FIELDS = ("stiffness", "damping", "payload")
 

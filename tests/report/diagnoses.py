@@ -23,7 +23,8 @@ from vjm.effects import (
     ViscousFriction,
 )
 from vjm.experiment.load import load_experiment
-from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig
+from vjm.model.modes import modes
+from vjm.records import NO_PAYLOAD, Estimate, Experiment, Link, Recording, RecordingComparison, Rig
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.panels import Picture
 from vjm.simulation.arm import Arm
@@ -145,7 +146,7 @@ def make_diagnosis(
     next_best = replace(base, effects=other) if other else None
     followed = followed_by(experiment, base, model, next_best)
     shown = [each.reference for each in followed if each.reference is not None]
-    payloads = {0.0} | {each.recording.payload for each in shown}
+    payloads = {NO_PAYLOAD} | {each.recording.payload_body for each in shown}
     held_out = [each for each in followed if each.recording.role == "holdout"]
     rms = [_rms(held_out, name) for name in ("reference", "simulated", "alternative")]
     gain = None
@@ -162,7 +163,9 @@ def make_diagnosis(
         recordings=followed,
         gain=gain,
         remaining=Remaining(0.4),
-        symptoms=Symptoms.of(base.rig, shown, {each: base.modes(each).frequencies[:2].tolist() for each in payloads}),
+        symptoms=Symptoms.of(
+            base.rig, shown, {each: modes(base.chain, each).frequencies[:2].tolist() for each in payloads}
+        ),
         next_experiment=None,
         noise="from the experiment file, and what the quiet recording shows agrees",
         next_best=other,

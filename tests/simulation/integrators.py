@@ -103,7 +103,7 @@ def followed_events(arm: Arm, recording: Recording) -> Array:
     """Angles (T, nv) at the recording's instants from rest, by DOP853 from one contact's begin or end to the next."""
     chain, contacts, driven = arm.chain, arm.contacts, arm.inputs(recording)
     n, (stiffness, damping) = chain.size, arm.springs
-    mechanism = mechanism_of(chain, recording.payload, recording.gravity)
+    mechanism = mechanism_of(chain, recording.payload_body, recording.gravity)
 
     def rates(t: float, state: Array, sides: Array) -> Array:
         q, v = state[None, :n], state[None, n:]

@@ -266,7 +266,7 @@ def test_the_prior_of_an_initial_state_expects_shapes_that_a_force_bends(joints:
     chain = arm_of(steel_link(joints))
     recording = recording_of(chain, np.arange(301) / 100.0)
     prior = InitialStatePrior.of(Arm(chain), recording)
-    mass, _, stiffness, rest = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
+    mass, _, stiffness, rest = linearise(chain, recording.payload_body, recording.gravity, recording.initial_theta)
     squares, modes = eigh(stiffness, mass)
     load = end_load_shape(chain, 0.1 * chain.links[0].length) - rest
     coordinates = modes.T @ mass @ load

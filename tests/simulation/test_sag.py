@@ -20,6 +20,7 @@ from tests.simulation.setups import DOWN, arm_of, recording_of, rig_of, steel_li
 from vjm.chain.curve import marker_poses
 from vjm.chain.virtual_links import Chain
 from vjm.model.modes import linearise, modes
+from vjm.records import Payload
 
 Array = NDArray[np.float64]
 MARKERS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
@@ -48,7 +49,7 @@ def elastica(bending_stiffness: float, payload: float, gravity: tuple[float, flo
 
 def sagged(n: int, payload: float, gravity: tuple[float, float], stiffness: float = 1.97) -> tuple[Chain, Array]:
     chain = arm_of(steel_link(n, bending_stiffness=stiffness))
-    q = linearise(chain, payload, gravity)[3]
+    q = linearise(chain, Payload(payload), gravity)[3]
     return chain, marker_poses(chain, q, (MARKERS,), (False,))[0]
 
 
@@ -81,7 +82,7 @@ def test_sag_converges_at_second_order() -> None:
 def test_a_sagged_beam_stays_where_it_rests() -> None:
     chain, markers = sagged(6, 0.05, DOWN)
     recording = recording_of(chain, np.arange(101) / 50.0, payload=0.05, gravity=DOWN)
-    q = linearise(chain, 0.05, DOWN)[3]
+    q = linearise(chain, Payload(0.05), DOWN)[3]
     found = simulate(chain, rig_of(chain), recording, q, 0 * q)
     np.testing.assert_allclose(found.markers, np.broadcast_to(markers, (101, 5, 2)), atol=1e-9)
 

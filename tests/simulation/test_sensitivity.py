@@ -44,7 +44,7 @@ from vjm.effects import (
     ViscoelasticCreep,
 )
 from vjm.model.modes import linearise, modes
-from vjm.records import Recording
+from vjm.records import NO_PAYLOAD, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import flow_and_response, phi_functions, simulate_trajectories
 from vjm.simulation.least_squares import SquareRootInformation
@@ -454,7 +454,7 @@ def test_a_state_told_in_another_chain_s_joints_looks_the_same(given_joints: int
 
 def locked_modes(chain: Chain) -> tuple[Array, Array]:
     """Mass matrix of the passive joints and their modes, slowest first."""
-    M, _, K, _ = linearise(chain, 0.0, (0.0, 0.0))
+    M, _, K, _ = linearise(chain, NO_PAYLOAD, (0.0, 0.0))
     passive = np.ix_(chain.passive, chain.passive)
     return M[passive], np.asarray(eigh(K[passive], M[passive])[1])
 

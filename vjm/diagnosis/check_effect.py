@@ -23,7 +23,7 @@ from vjm.effects.effect import SENSING_HOOKS, Effect
 from vjm.errors import EffectError, SimulationDivergedError, is_whole, require
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, fit_trajectory
-from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
+from vjm.records import Array, Kind, Link, Payload, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
@@ -35,7 +35,7 @@ _HOOKS = (
     *("initial_states", "state_rates"),
 )
 _ROUNDING = 1e-9
-_PAYLOAD = 0.05  # kg
+_PAYLOAD = Payload(0.05, 0.01, 2e-5)  # kg, m, kg m^2
 _NOISE = (5e-5, 5e-5)  # m of a marker coordinate, rad of an encoder
 
 

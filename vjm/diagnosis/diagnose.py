@@ -36,6 +36,7 @@ from vjm.errors import ChoiceError, ShapeError, is_number, is_whole, require, re
 from vjm.experiment.records import require_experiment
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.model.modes import modes
 from vjm.records import REFERENCE, VISIBLE_SHARE, Experiment, Progress, RecordingComparison, Stages
 from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.model import Model
@@ -148,7 +149,8 @@ def _default_budget(experiment: Experiment, jobs: int) -> float:
     train = experiment.with_role("train")
     chain = Model.nominal(experiment.rig).chain
     periods = sum(
-        locked_joint_frequencies(chain, recording.payload)[0] * float(np.ptp(recording.time)) for recording in train
+        locked_joint_frequencies(chain, recording.payload_body)[0] * float(np.ptp(recording.time))
+        for recording in train
     )
     frames = sum(recording.frames.size for recording in train)
     # A policy: 240 s of processor time, shared by two processes at most, for what a link of 1.2 Hz swings in seven
@@ -225,8 +227,8 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
     count = 4  # more modes are hardly ever seen by a camera
     simulated = [comparison.reference for comparison in recordings if comparison.reference is not None]
-    payloads = {run.recording.payload for run in simulated}
-    frequencies = {payload: reference.modes(payload).frequencies[:count].tolist() for payload in payloads}
+    payloads = {run.recording.payload_body for run in simulated}
+    frequencies = {payload: modes(reference.chain, payload).frequencies[:count].tolist() for payload in payloads}
     return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 
 

@@ -20,7 +20,7 @@ from vjm.diagnosis.records import RepeatComparison, ResidualBand, ResidualTest
 from vjm.diagnosis.screen import Screen
 from vjm.effects.effect import Effect, LinkEffect, StateFunction, magnitude, shape_parameter
 from vjm.identification.trajectory_fit import Point
-from vjm.records import Array, Rig
+from vjm.records import Array, Payload, Rig
 from vjm.simulation.run import Run
 
 _LEAST_COEFFICIENTS = 20  # of a band: their sum of squares is then known within a third (sqrt(2/20))
@@ -124,7 +124,7 @@ class _Probe(LinkEffect):
 
     id = "probe"
 
-    def force(self, chain: Chain, payload: float) -> StateFunction:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction:
         """Return torques (..., nv) on the joint, or on the link's, by curvature times length."""
         link, shape, unit = self.link_of(chain), _SHAPES[self.shape][1], self.units(chain)[2]
         joint = chain.joint_names.index(f"{link.name}_joint") if not self.bending else 0

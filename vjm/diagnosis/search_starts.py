@@ -106,7 +106,7 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
     """
     observed, path, chain = run.observed, run.trajectory, run.chain
     recording = run.arm.inputs(observed.recording)
-    _, D, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
+    _, D, K, _ = linearise(chain, recording.payload_body, recording.gravity, recording.initial_theta)
     shapes = run.basis.shapes[:, : run.basis.slow_count]
     m, c = shapes.shape[1], counts.size
     oscillators = np.zeros((m, 2, 2))

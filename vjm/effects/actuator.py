@@ -26,7 +26,7 @@ from vjm.effects.effect import (
     magnitude,
     shape_parameter,
 )
-from vjm.records import Array, Recording, Rig
+from vjm.records import Array, Payload, Recording, Rig
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Cogging(WaveEffect, JointEffect):
             variants.append(replace(variant, lowest=2 * np.pi / largest if largest > 0 else 0.0))
         return tuple(variants)
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the torque on the joint."""
         joint = self.active_joint(chain)
         return self.force_on(

@@ -11,7 +11,7 @@ import numpy as np
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.effects.effect import Effect, LinkEffect, StateFunction, magnitude, shape_parameter
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array, Recording, Rig
+from vjm.records import NO_PAYLOAD, Array, Payload, Recording, Rig
 
 # Modes above are damped no faster than one of this angular frequency, in the link's own units 1 / T (a cantilever's
 # seventh has 417, its eighth 555): no camera shows them, and steps need not follow them.
@@ -74,7 +74,7 @@ class StructuralDamping(LinkEffect):
         """Return the relaxing elements' deflections, in each shape: none."""
         return np.zeros((*q.shape[:-1], _RELAXATION_TIMES.size * min(self.link_of(chain).cells.size, _RELAXING_SHAPES)))
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the moments of the modes' dampers and of the relaxing elements."""
         part, loss, damping = self.virtual_joints(chain), self.relaxation(chain), self.modal_damping(chain, payload)
         damping = (1 - self.dispersion) * damping
@@ -92,7 +92,7 @@ class StructuralDamping(LinkEffect):
         part, loss = self.virtual_joints(chain), self.relaxation(chain)
         return lambda time, q, v, z: v[..., part] @ loss.shapes - loss.rates * z
 
-    def modal_damping(self, chain: Chain, payload: float) -> Array:
+    def modal_damping(self, chain: Chain, payload: Payload) -> Array:
         """Return (nv, nv) C = M Phi diag(loss_factor omega) Phi^T M of the chain's modes at rest [N m s/rad]."""
         M, D, K, _ = linearise(chain, payload, (0.0, 0.0))
         modes = modes_of(M, D, K)
@@ -109,7 +109,7 @@ class StructuralDamping(LinkEffect):
         Elements that relax faster than the fastest of those followed are dampers. Shapes beyond the relaxing ones have
         a damper, and the stiffness, of the frequency at which they swing.
         """
-        M, D, K, _ = linearise(chain, 0.0, (0.0, 0.0))
+        M, D, K, _ = linearise(chain, NO_PAYLOAD, (0.0, 0.0))
         first = 2 * np.pi * modes_of(M, D, K).frequencies[0]
         part = self.virtual_joints(chain)
         springs, times = K[part, part], _RELAXATION_TIMES * self.units(chain)[2]
@@ -158,7 +158,7 @@ class CubicStiffness(LinkEffect):
     distinguishing_experiment = "recordings at two amplitudes"
     abscissa = "amplitude"
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return moments proportional to the angles' cubes."""
         link, part = self.link_of(chain), self.virtual_joints(chain)
         factor = -self.coefficient * link.stiffness / link.cells**2
@@ -177,7 +177,7 @@ class StiffnessDrift(LinkEffect):
     reference = "H. Sohn, Effects of environmental and operational variability, Phil. Trans. Royal Society A 365, 2007"
     distinguishing_experiment = "recordings at two amplitudes, or a restart after the link has warmed up"
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return moments proportional to time and angles."""
         part, factor = self.virtual_joints(chain), -self.rate * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: np.asarray(time)[..., None] * q[..., part] * factor)
@@ -266,7 +266,7 @@ class StiffnessAsymmetry(LinkEffect):
     distinguishing_experiment = "static deflections to both sides, or decays released from either side"
     abscissa = "position"
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return moments proportional to the angles' sizes."""
         part, factor = self.virtual_joints(chain), -self.ratio * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: factor * np.abs(q[..., part]))
@@ -306,7 +306,7 @@ class ViscoelasticCreep(LinkEffect):
         """Return the angles of the relaxing springs, one at each virtual joint: none."""
         return np.zeros_like(q[..., self.virtual_joints(chain)])
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the moments of the relaxing springs."""
         factor = -self.ratio * self.link_of(chain).stiffness
         return self.force_on(self.virtual_joints(chain), lambda time, q, v, z: factor * z)
@@ -345,7 +345,7 @@ class Hysteresis(LinkEffect):
         yields = self.yields(chain)
         return yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the moments beside the springs' own -K phi."""
         part, factor = self.virtual_joints(chain), self.ratio * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: factor * (q[..., part] - z))

@@ -19,7 +19,7 @@ import numpy as np
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.effects.contact import Contact
 from vjm.errors import ShapeError
-from vjm.records import Array, Recording, Rig
+from vjm.records import Array, Payload, Recording, Rig
 
 Key = tuple[str, int | None]
 # From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
@@ -336,12 +336,12 @@ class Effect:
         """Return the recording with the torque and the gravity that really acted on the arm."""
         return recording
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the function that gives its generalised forces (..., nv) [N m] on the joints, or None without any.
 
         The function takes the time since the recording's start (...) [s], angles (..., nv) [rad], rates (..., nv)
         [rad/s] and internal states (..., nz), with any leading axes. The chain is the arm's with all effects' changes,
-        the payload a known mass on the tip [kg].
+        the payload what is known to be on the tip.
         """
         return None
 

@@ -19,7 +19,7 @@ from vjm.effects.effect import (
     magnitude,
     shape_parameter,
 )
-from vjm.records import Array, Recording, Rig
+from vjm.records import Array, Payload, Recording, Rig
 
 # In the link's own unit of time T: the step under dry friction (angles of a hub that slews and stops are 0.2 urad off,
 # `docs/method.md`), and by how much the joint's rate changes between instants at which derivatives are taken, over
@@ -43,7 +43,7 @@ class _DryFriction(JointEffect):
         """Return the joint's coordinate and its friction; None where it is gradual."""
         return None if self.smooth else (self.active_joint(chain), self.largest)
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the torque if it is gradual: its sign changes over a range of rates."""
         if not self.smooth:
             return None

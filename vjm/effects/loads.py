@@ -12,7 +12,7 @@ import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, LinkEffect, StateFunction, WaveEffect, magnitude, shape_parameter
-from vjm.records import Array, Complex, Recording, Rig
+from vjm.records import Array, Complex, Payload, Recording, Rig
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,9 @@ class TipPayload(_TipEffect):
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a larger payload."""
         link = self.link_of(chain)
-        total = link.payload + self.mass
-        if not total:
-            return chain
-        center = (link.payload * link.payload_offset + self.mass * self.offset) / total
-        added = self.mass, self.offset, self.mass * self.radius_of_gyration**2
-        bodies = ((link.payload, link.payload_offset, link.payload_inertia), added)
-        inertia = sum(own + mass * (offset - center) ** 2 for mass, offset, own in bodies)
-        return self.with_link(chain, payload=total, payload_offset=center, payload_inertia=inertia)
+        added = Payload(self.mass, self.offset, self.mass * self.radius_of_gyration**2)
+        both = Payload(link.payload, link.payload_offset, link.payload_inertia).with_another(added)
+        return self.with_link(chain, payload=both.mass, payload_offset=both.offset, payload_inertia=both.inertia)
 
 
 @dataclass(frozen=True)
@@ -104,7 +99,7 @@ class ExternalTone(WaveEffect, _TipEffect):
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
     abscissa = "frequency"
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the force on the end of the last virtual link."""
         rods = Rods(chain)
         last = np.zeros(rods.lengths.size)
@@ -195,7 +190,7 @@ class _Drag(LinkEffect):
         """Return the force per length [N/m] at normal velocities [m/s]; its sign may be smoothed below a slow one."""
         raise NotImplementedError
 
-    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         rods = Rods(chain)
         # Three nodes a virtual link; two are exact except where the velocity changes its sign.
         abscissae, gauss = np.polynomial.legendre.leggauss(3)

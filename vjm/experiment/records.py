@@ -29,6 +29,7 @@ from vjm.errors import (
 from vjm.experiment.arrays import as_array, check_rate, check_time, check_turns, column_numbers, number_array
 from vjm.experiment.checks import MIN_FRAMES, cleaned, experiment_warnings
 from vjm.experiment.conventions import Conventions, angle_of, check_columns
+from vjm.experiment.payload import Payload
 from vjm.text import counted
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ _Gravity = Annotated[
     "two finite numbers, gravity along x and y of the base frame [m/s^2], at most 1e8",
 ]
 _Payload = Annotated[float, Ge(0), Le(1e9), "a finite number, zero or positive [kg], at most 1e9"]
+_Offset = Annotated[float, Ge(-1e6), Le(1e6), "a finite number [m], at most 1e6"]
+_Inertia = Annotated[float, Ge(0), Le(1e15), "a finite number, zero or positive [kg m^2], at most 1e15"]
 _Arc = Annotated[float, Ge(1e-9), Le(1e6)]
 _Metres = Annotated[float, Ge(1e-9), Le(1e6), "a finite positive number [m], from 1e-9 to 1e6"]
 _OptionalMetres = Annotated[float | None, Ge(1e-9), Le(1e6), "a finite positive number [m], from 1e-9 to 1e6"]
@@ -85,7 +88,9 @@ class Link:
         bending_stiffness: nominal EI [N m^2]; None: E w h^3 / 12.
         markers: arc length of each marker from the proximal end [m], increasing.
         hub_inertia: about the joint axis, motor included [kg m^2]; zero for a clamped link.
-        payload: known point mass at the distal end [kg].
+        payload: known mass at the distal end [kg].
+        payload_offset: of its centre beyond the distal end, along the link there [m].
+        payload_inertia: of it about its centre [kg m^2].
         markers_frame: frame of the marker coordinates: the base frame or the link frame Sigma_i.
         width: parallel to the joint axes [m]; None where only EI was given.
         thickness: in the bending plane [m]; None where only EI was given.
@@ -104,8 +109,10 @@ class Link:
         float, Ge(_MIN_STIFFNESS), Le(_MAX_STIFFNESS), "a finite positive number [N m^2], from 1e-18 to 1e18"
     ] = None  # type: ignore[assignment]
     markers: Annotated[tuple[_Arc, ...], "a list of finite positive numbers, arc lengths [m]"] = ()
-    hub_inertia: Annotated[float, Ge(0), Le(1e15), "a finite number, zero or positive [kg m^2], at most 1e15"] = 0.0
+    hub_inertia: _Inertia = 0.0
     payload: _Payload = 0.0
+    payload_offset: _Offset = 0.0
+    payload_inertia: _Inertia = 0.0
     markers_frame: Annotated[Literal["base", "link"], '"base" or "link"'] = "base"
     width: _OptionalMetres = None
     thickness: _OptionalMetres = None
@@ -117,6 +124,7 @@ class Link:
         _check_fields(self, self.name)
         if self.joint == "clamped" and self.hub_inertia:
             self._refuse("hub_inertia", "the link is clamped and has no hub", 'this key only with joint = "revolute"')
+        _check_payload(self, f"link {self.name}")
         previous = 0.0
         # On the tip in spite of rounding, as 3 * 0.1 is on one of 0.3 m, in single precision too.
         markers = tuple(
@@ -247,6 +255,8 @@ class Recording:
         file: its name, as the experiment file gives it; an experiment names those without one `recording_1` and so on.
         gravity: in the plane, (x, y) of the base frame [m/s^2]; None: the rig's, once it is part of an experiment.
         payload: known extra mass on the last link's tip [kg].
+        payload_offset: of its centre beyond the tip, along the link there [m].
+        payload_inertia: of it about its centre [kg m^2].
         repeat: label shared by recordings that repeat one experiment.
         condition: `reference` where the effect being sought is known to be absent.
         input: what drives the active joints: `torque`, as measured, or `motion`: they turn as their encoders say,
@@ -269,6 +279,8 @@ class Recording:
     file: Annotated[str, "the name of a CSV file, relative to the experiment file"] = ""
     gravity: _Gravity = _RIGS_GRAVITY
     payload: _Payload = 0.0
+    payload_offset: _Offset = 0.0
+    payload_inertia: _Inertia = 0.0
     repeat: Annotated[str | None, MinLen(1), "a label shared by recordings that repeat one experiment"] = None
     condition: Annotated[str | None, MinLen(1), 'a label, as "reference"'] = None
     input: Annotated[Input, '"torque" or "motion"'] = "torque"
@@ -282,6 +294,7 @@ class Recording:
         if isinstance(gravity, _RigsGravity):
             object.__setattr__(self, "gravity", gravity)
         name = self.file or "recording"
+        _check_payload(self, name)
         time = as_array(name, "time", self.time, "(T,) instants [s]", (None,))
         check_time(name, "time", time)
         arrays = {
@@ -302,6 +315,11 @@ class Recording:
             require("acceleration", self.acceleration, valid, f"an array {shape}, as theta has [rad/s^2]")
         for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": time, "markers": markers}.items():
             object.__setattr__(self, key, value)
+
+    @property
+    def payload_body(self) -> Payload:
+        """The payload as a body."""
+        return Payload(self.payload, self.payload_offset, self.payload_inertia)
 
     @classmethod
     def from_dataframe(cls, frame: pd.DataFrame, rig: Rig | Link, *, kind: Kind, **fields: Any) -> Recording:
@@ -424,7 +442,7 @@ class Experiment:
                 continue
             number = first.setdefault(recording.repeat, index)
             earlier = self.recordings[number]
-            for key in ("kind", "payload", "gravity"):
+            for key in ("kind", "payload", "payload_offset", "payload_inertia", "gravity"):
                 value, earlier_value = getattr(recording, key), getattr(earlier, key)
                 if value != earlier_value:
                     place = f"[recording[{number + 1}] {earlier.file}] with the same repeat label '{recording.repeat}'"
@@ -546,6 +564,12 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         expected = f"at least {MIN_FRAMES} rows with a measured marker"
         raise RecordingError(name, None, None, counted(count, "usable frame"), expected)
     check_rate(name, recording.time, (recording.time[rows] for rows in signals))
+
+
+def _check_payload(record: Link | Recording, table: str) -> None:
+    for key in ("payload_offset", "payload_inertia"):
+        if getattr(record, key) and not record.payload:
+            raise ExperimentError(None, table, key, "given without a payload", "this key only beside payload [kg]")
 
 
 def _check_fields(record: object, name: object) -> None:

@@ -19,7 +19,7 @@ from vjm.markers.shape import choose_order
 from vjm.markers.smoothing import Derivatives, Smoother, interpolate
 from vjm.model.dynamics import Mechanism, torque_errors
 from vjm.model.modes import modes
-from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Record, Recording, Rig
+from vjm.records import NO_PAYLOAD, REFERENCE, Array, Experiment, Link, Mask, Payload, Record, Recording, Rig
 
 DerivativeMethod = Literal["smoothing", "interpolating"]
 
@@ -46,7 +46,7 @@ class PreparedRecording(Record):
         """Return torque errors (S, nv) of a chain (eq. 14) `at` some instants [N m]; NaN without measured torque."""
         derivatives, recording = self.derivatives, self.recording
         state = derivatives.value[at], derivatives.rate[at], derivatives.acceleration[at]
-        return torque_errors(chain, *state, self.torque[at], recording.payload, recording.gravity)
+        return torque_errors(chain, *state, self.torque[at], recording.payload_body, recording.gravity)
 
     def weighted_errors(self, chain: Chain, weighting: Chain) -> Array:
         """Return torque errors (S, r), away from the ends, in the rows determined, in units of `weighting`'s noise."""
@@ -65,7 +65,7 @@ class PreparedRecording(Record):
 
     def inertia(self, chain: Chain) -> Array:
         """Return a chain's mass matrix (nv, nv) at the mean angles of the instants used [kg m^2]."""
-        mechanism = Mechanism(chain, self.recording.payload, self.recording.gravity)
+        mechanism = Mechanism(chain, self.recording.payload_body, self.recording.gravity)
         mean = self.derivatives.value[self.derivatives.interior].mean(axis=0)
         return np.asarray(mechanism.mass_matrix(mean[None])[0])
 
@@ -139,7 +139,7 @@ class TrainingData:
     recordings: tuple[Recording, ...]  # without coordinates that cannot be right
     prepared: tuple[PreparedRecording, ...] = ()  # those that the torque method can use
     problems: tuple[str, ...] = ()  # why it cannot use the others, a sentence each
-    payload: float = 0.0  # the commonest one of prepared recordings [kg]
+    payload: Payload = NO_PAYLOAD  # the commonest one of prepared recordings
 
     @classmethod
     def of(
@@ -190,14 +190,15 @@ class TrainingData:
                 prepared.append(_prepare(self, self.cuts, recording))
             except InsufficientDataError as error:
                 problems.append(str(error))
-        payloads = [p.recording.payload for p in prepared] or [recording.payload for recording in self.recordings]
+        recordings = [p.recording for p in prepared] or self.recordings
+        payloads = [recording.payload_body for recording in recordings]
         payload = max(sorted(set(payloads)), key=payloads.count)
         return replace(self, prepared=tuple(prepared), problems=tuple(problems), payload=payload)
 
     @property
     def freely_moving(self) -> tuple[PreparedRecording, ...]:
         """Recordings in which the arm has the modes of the model: with the commonest payload, and no motion given."""
-        same_payload = [prepared for prepared in self.prepared if prepared.recording.payload == self.payload]
+        same_payload = [prepared for prepared in self.prepared if prepared.recording.payload_body == self.payload]
         return tuple(prepared for prepared in same_payload if prepared.recording.input == "torque")
 
     @cached_property

@@ -119,7 +119,9 @@ class TrajectoryProblem(Record):
         the right minimum.
         """
         chain = self.chain(x)
-        return 3 / min(float(modes(chain, observed.recording.payload).frequencies[0]) for observed in self.observed)
+        return 3 / min(
+            float(modes(chain, observed.recording.payload_body).frequencies[0]) for observed in self.observed
+        )
 
     def durations(self, first: float) -> list[float]:
         """Return the durations [s] to fit one after another, from `first` to infinite: whole recordings."""
@@ -520,7 +522,7 @@ def _cycles_per_sample(problem: TrajectoryProblem, x: Array) -> float:
     cycles = []
     for arm, observed in zip(problem.arms(x), problem.observed, strict=True):
         recording = observed.recording
-        slowest, _ = locked_joint_frequencies(arm.chain, recording.payload)
+        slowest, _ = locked_joint_frequencies(arm.chain, recording.payload_body)
         cycles.append(slowest * np.ptp(recording.time) / max(recording.time.size - 1, 1))
     return float(min(cycles))
 

@@ -412,7 +412,7 @@ def hides_fast_modes(fit: TrajectoryFit, max_misfit: float) -> bool:
     """
     decays = [run for run in fit.point.runs if run.observed.recording.kind == "decay" and not run.chain.elbows.size]
     # Not by the multiple alone: other bounds may have kept the steps short.
-    default = [default_step(run.chain, run.observed.recording.payload) for run in decays]
+    default = [default_step(run.chain, run.observed.recording.payload_body) for run in decays]
     longer = any(run.trajectory.step > 1.001 * step for run, step in zip(decays, default, strict=True))
     return longer and fit.point.problem.step_multiple > 1.0 and fit.misfit < max_misfit
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
-from vjm.records import Array
+from vjm.records import NO_PAYLOAD, Array, Payload
 
 _THREADS = 2
 _PARALLEL_FROM = 20_000  # samples below which starting threads costs more than it saves
@@ -121,14 +121,14 @@ class Mechanism(RigidBodies):
 
     Args:
         chain: the chain.
-        payload: extra point mass on the last link's tip [kg].
+        payload: extra body on the last link's tip.
         gravity: in the plane, (x, y) of the base frame [m/s^2]; the chain's when None.
 
     Attributes:
         model: the `pin.Model`; its joints are `Chain.joint_names`.
     """
 
-    def __init__(self, chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> None:
+    def __init__(self, chain: Chain, payload: Payload = NO_PAYLOAD, gravity: tuple[float, float] | None = None) -> None:
         super().__init__(pin.Model())
         self.model.gravity = pin.Motion(np.r_[chain.gravity if gravity is None else gravity, 0.0], np.zeros(3))
         _add_chain(self.model, chain, payload)
@@ -141,12 +141,12 @@ class Mechanism(RigidBodies):
 
 
 @lru_cache(maxsize=256)
-def mechanism_of(chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> Mechanism:
+def mechanism_of(chain: Chain, payload: Payload = NO_PAYLOAD, gravity: tuple[float, float] | None = None) -> Mechanism:
     """Return the mechanism of a chain; the last ones are remembered."""
     return Mechanism(chain, payload, gravity)
 
 
-def _add_chain(model: pin.Model, chain: Chain, payload: float) -> None:
+def _add_chain(model: pin.Model, chain: Chain, payload: Payload) -> None:
     """Add a chain's joints and bodies; what stands still has no body."""
     joint, offset, angle = 0, 0.0, 0.0  # the joint that carries the next body, its distance and heading from there
     names = iter(chain.joint_names)
@@ -176,7 +176,7 @@ def _add_chain(model: pin.Model, chain: Chain, payload: float) -> None:
             add_body(float(link.masses[j]), float(link.mass_centers[j]), float(link.inertias[j]) + carried_inertia)
             offset += length
         add_body(link.payload, link.payload_offset, link.payload_inertia)
-        add_body(payload if i == len(chain.links) - 1 else 0.0, 0.0, 0.0)
+        add_body(*(payload if i == len(chain.links) - 1 else NO_PAYLOAD))
 
 
 def _placement(x: float, angle: float = 0.0) -> pin.SE3:
@@ -189,7 +189,7 @@ def torque_errors(
     v: ArrayLike,
     a: ArrayLike,
     torque: ArrayLike,
-    payload: float = 0.0,
+    payload: Payload = NO_PAYLOAD,
     gravity: tuple[float, float] | None = None,
 ) -> Array:
     """Return active and passive torque errors (eq. 14), (T, nv) in the chain's order [N m], from one batched RNEA.
@@ -200,7 +200,7 @@ def torque_errors(
         chain: the arm.
         q, v, a: (T, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
         torque: (T, n_a) active joint torques [N m]; NaN where not measured, as errors of these rows are.
-        payload: extra point mass on the tip [kg].
+        payload: extra body on the tip.
         gravity: in the plane [m/s^2]; the chain's when None.
 
     Raises:

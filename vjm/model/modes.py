@@ -14,7 +14,7 @@ from scipy import linalg
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
 from vjm.model.dynamics import Mechanism, mechanism_of
-from vjm.records import Array
+from vjm.records import NO_PAYLOAD, Array, Payload
 
 # `unstable`: in balance, but about to fall over or to buckle; `stalled`: no step reduces the torques;
 # `iterations`: too many steps.
@@ -36,13 +36,13 @@ class Modes:
 
 
 def linearise(
-    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
+    chain: Chain, payload: Payload = NO_PAYLOAD, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> tuple[Array, Array, Array, Array]:
     """Return M, D, K (nv, nv) about the position of rest, and that position (nv,).
 
     Args:
         chain: the arm.
-        payload: extra point mass on the tip [kg].
+        payload: extra body on the tip.
         gravity: in the plane [m/s^2]; the chain's when None.
         theta: active joint angles held while the passive joints come to rest [rad].
 
@@ -61,7 +61,7 @@ def linearise(
 
 @lru_cache(maxsize=64)
 def _linearised(
-    chain: Chain, payload: float, gravity: tuple[float, float], theta: tuple[float, ...]
+    chain: Chain, payload: Payload, gravity: tuple[float, float], theta: tuple[float, ...]
 ) -> tuple[Array, Array, Array, Array]:
     """Linearise as `linearise`; the last results are remembered, as many segments of recordings share them."""
     mechanism = mechanism_of(chain, payload, gravity)
@@ -99,13 +99,13 @@ def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
     return q
 
 
-def modes(chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> Modes:
+def modes(chain: Chain, payload: Payload = NO_PAYLOAD, gravity: tuple[float, float] | None = None) -> Modes:
     """Return the vibration modes of the chain with its active joints free to turn; arguments as of `linearise`."""
     return modes_of(*linearise(chain, payload, gravity)[:3])
 
 
 def locked_modes(
-    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
+    chain: Chain, payload: Payload = NO_PAYLOAD, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> tuple[Modes, Array]:
     """Return the modes of the p passive joints, with shapes (p, m), and their inertia (p, p); active joints are locked.
 

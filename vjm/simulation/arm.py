@@ -13,7 +13,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.contact import Contact
 from vjm.effects.effect import Effect, StateFunction, is_nonsmooth
 from vjm.model.urdf import chain_to_urdf, simulator_file
-from vjm.records import Array, Indices, Recording
+from vjm.records import Array, Indices, Payload, Recording
 from vjm.text import in_sentence
 
 T = TypeVar("T")
@@ -101,7 +101,7 @@ class Arm:
             damping[contact.joint] -= contact.damping
         return stiffness, damping
 
-    def forces(self, payload: float) -> StateFunction | None:
+    def forces(self, payload: Payload) -> StateFunction | None:
         """Return the sum of the effects' generalised forces; None without any."""
         forces = self._hooks(lambda effect: effect.force(self.chain, payload))
         if not forces:

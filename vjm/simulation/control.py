@@ -14,7 +14,7 @@ from vjm.effects.effect import Effect, StateFunction
 from vjm.errors import ShapeError, SimulationDivergedError, is_number, require, shown
 from vjm.experiment.arrays import number_array
 from vjm.model.modes import linearise
-from vjm.records import Array, Recording, Rig, Simulation
+from vjm.records import Array, Payload, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, sensor_readings
@@ -30,7 +30,7 @@ class _Feedback(Effect):
     law: ControlLaw
     effects: tuple[Effect, ...] = ()
 
-    def force(self, chain: Chain, payload: float) -> StateFunction:
+    def force(self, chain: Chain, payload: Payload) -> StateFunction:
         """Return the function that gives the law's torque as a force on the joints."""
         return lambda time, q, v, z: np.stack([self._forces(chain, *state) for state in zip(time, q, v, strict=True)])
 
@@ -97,7 +97,7 @@ def simulate_motion(
         raise ShapeError("duration", shown(duration), "a positive number of seconds")
     require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
     chain, count = arm.chain, arm.chain.active.size
-    step = min(default_step(chain, payload), duration / 20)
+    step = min(default_step(chain, Payload(payload)), duration / 20)
     if torque is None or callable(torque):
         time = np.linspace(0.0, duration, 1 + int(np.ceil(duration / step)))
         torques = np.zeros((time.size, count))
@@ -142,7 +142,7 @@ def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) ->
         expected = f"(2, {n}) angles and rates of all joints, or (2, {count}) of active ones [rad, rad/s]"
         raise ShapeError("initial", state.shape if np.isfinite(state).all() else "a value that is not finite", expected)
     inputs, v = arm.inputs(recording), np.zeros(n)
-    _, _, _, q = linearise(chain, recording.payload, inputs.gravity, state[0])
+    _, _, _, q = linearise(chain, recording.payload_body, inputs.gravity, state[0])
     v[chain.active] = state[1]
     return q, v
 

@@ -16,7 +16,7 @@ import numpy as np
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.model.modes import locked_modes
-from vjm.records import Array, Indices, Mask, Recording
+from vjm.records import NO_PAYLOAD, Array, Indices, Mask, Payload, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.impacts import PATH_SHARES, ContactSteps
 from vjm.simulation.stick_slip import FrictionWeights, StickSlip, multiply
@@ -74,7 +74,7 @@ def simulate_trajectories(
     for group in _similar(arms, driven):
         group = _adjacent(group, arms, driven)
         first, copies = driven[group[0]], [arms[k] for k in group]
-        h = step_multiple * default_step(copies[0].chain, first.payload) if step is None else step
+        h = step_multiple * default_step(copies[0].chain, first.payload_body) if step is None else step
         if not 0 < h < np.inf:
             raise ShapeError("step", h, "a positive number of seconds")
         if _duration(first) > 0:
@@ -82,7 +82,7 @@ def simulate_trajectories(
         h = min(h, longest, min(arm.longest_step for arm in copies) * min(step_multiple, 2.0))
         counts = [_step_count(arms[k].chain, driven[k], h) for k in group]
         drive = Drive.of([driven[k] for k in group], [starts[k] for k in group], h, max(counts))
-        system = System.of(copies, [driven[k].payload for k in group], first.gravity)
+        system = System.of(copies, [driven[k].payload_body for k in group], first.gravity)
         angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
         states = np.stack([arms[k].initial_states(np.asarray(q[k])) if z is None else z[k] for k in group])
         with np.errstate(all="ignore"):  # divergence is noticed, and raised
@@ -116,10 +116,10 @@ def _similar(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[
 
 def _adjacent(group: list[int], arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[int]:
     """Return the runs, the first one first, in an order in which those of the same arm and payload are adjacent."""
-    places: dict[tuple[int | float, ...], int] = {}
+    places: dict[tuple[int | Payload, ...], int] = {}
 
     def place(k: int) -> tuple[int, int]:
-        mechanism = id(arms[k].chain), recordings[k].payload
+        mechanism = id(arms[k].chain), recordings[k].payload_body
         return places.setdefault(mechanism, len(places)), places.setdefault((id(arms[k].effects),), len(places))
 
     return sorted(group, key=place)
@@ -129,7 +129,7 @@ def _duration(recording: Recording) -> float:
     return float(recording.time[-1] - recording.time[0])
 
 
-def default_step(chain: Chain, payload: float = 0.0) -> float:
+def default_step(chain: Chain, payload: Payload = NO_PAYLOAD) -> float:
     """Return the exponential integrator's step [s] that keeps the tip within a millionth of the arm's length.
 
     Measured over ten periods of chains of 4 to 40 joints bent by an eighth of their length, or driven. The error grows
@@ -148,7 +148,7 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
 
 
 @lru_cache(maxsize=64)
-def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
+def locked_joint_frequencies(chain: Chain, payload: Payload = NO_PAYLOAD) -> tuple[float, float]:
     """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
     frequencies = locked_modes(chain, payload, (0.0, 0.0))[0].frequencies
     return float(frequencies[0]), float(frequencies[-1])
@@ -156,7 +156,7 @@ def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float,
 
 def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> int:
     """Return the number of steps [s] in half an interval over which derivatives are advanced at once."""
-    slowest, _ = locked_joint_frequencies(chain, recording.payload)
+    slowest, _ = locked_joint_frequencies(chain, recording.payload_body)
     periods = _HALF_INTERVAL_ELBOW if chain.elbows.size else _HALF_INTERVAL
     # A period may be far longer than the recording, beyond which nothing need be simulated.
     longest = min(periods / slowest, max(_duration(recording), step))
@@ -166,7 +166,7 @@ def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> 
 def _step_count(chain: Chain, recording: Recording, step: float) -> int:
     duration = _duration(recording)
     if duration > _MOST_STEPS * step:
-        slowest, _ = locked_joint_frequencies(chain, recording.payload)
+        slowest, _ = locked_joint_frequencies(chain, recording.payload_body)
         raise InsufficientDataError(
             f"simulation of {recording.file or 'a recording'}",
             f"its {duration:.4g} s are {duration / step:.2g} steps, for the model's slowest mode has {slowest:.4g} Hz",

@@ -22,7 +22,18 @@ from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import simulator_path
-from vjm.records import REFERENCE, Array, Estimate, Link, Record, Recording, Rig, SimulatedRecording, Simulation
+from vjm.records import (
+    REFERENCE,
+    Array,
+    Estimate,
+    Link,
+    Payload,
+    Record,
+    Recording,
+    Rig,
+    SimulatedRecording,
+    Simulation,
+)
 from vjm.simulation.arm import Arm
 from vjm.simulation.control import ControlLaw, simulate_motion
 from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
@@ -135,7 +146,7 @@ class Model(Record):
             duration: of the motion [s].
             initial: (2, nv) angles [rad] and rates [rad/s] of all joints in the chain's order, or (2, n_a) of active
                 ones, the passive ones at rest under gravity; None: at rest at zero.
-            payload: known extra mass on the tip [kg].
+            payload: known extra point mass on the tip [kg].
 
         Returns:
             The motion, at the torque's instants or, without any, at those of the integrator's default steps.
@@ -181,7 +192,7 @@ class Model(Record):
             ShapeError: no mass.
         """
         require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
-        return modes(self.arm.chain, payload)
+        return modes(self.arm.chain, Payload(payload))
 
     def pinocchio(self) -> PinocchioModel:
         """Return the chain as a `pin.Model`, with its stiffness and damping beside it."""

@@ -62,7 +62,7 @@ class InitialStatePrior:
         # Not a copy of the same chain, whose mechanism would have to be built again.
         chain = replace(arm.chain, armature=0.0) if arm.chain.armature else arm.chain
         recording = arm.inputs(recording)
-        M, _, _, q = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
+        M, _, _, q = linearise(chain, recording.payload_body, recording.gravity, recording.initial_theta)
         stiffness = min(link.bending_stiffness for link in chain.links)
         energy = 1.5 * stiffness * 0.1**2 / sum(link.length for link in chain.links)
         n = chain.size
@@ -191,15 +191,15 @@ class Run:
         if not active.size:
             return np.concatenate([other_q, other_v])
         recording = self.observed.recording
-        mass = mechanism_of(self.chain, self.arm.inputs(recording).payload).mass_matrix(q[None])[0]
-        other_mass = mechanism_of(arm.chain, arm.inputs(recording).payload).mass_matrix(other_q[None])[0]
+        mass = mechanism_of(self.chain, self.arm.inputs(recording).payload_body).mass_matrix(q[None])[0]
+        other_mass = mechanism_of(arm.chain, arm.inputs(recording).payload_body).mass_matrix(other_q[None])[0]
         lost_momentum = (mass @ v)[self.chain.active] - (other_mass @ other_v)[active]
         other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], lost_momentum)
         return np.concatenate([other_q, other_v])
 
     def _locked_modes(self, arm: Arm) -> tuple[Modes, Array]:
         driven = arm.inputs(self.observed.recording)
-        return locked_modes(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
+        return locked_modes(arm.chain, driven.payload_body, driven.gravity, driven.initial_theta)
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""

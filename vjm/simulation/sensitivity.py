@@ -243,7 +243,7 @@ def _is_compatible(group: Sequence[Linearization], added: Linearization) -> bool
     return (
         all(a is b for a, b in arms)
         and first.basis.shapes.shape == added.basis.shapes.shape
-        and (reference.payload, reference.gravity) == (recording.payload, recording.gravity)
+        and (reference.payload_body, reference.gravity) == (recording.payload_body, recording.gravity)
         and sum(member.rows.size for member in (*group, added)) <= first.max_chunk
     )
 

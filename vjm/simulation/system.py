@@ -16,7 +16,7 @@ from vjm.effects.contact import Contact
 from vjm.effects.effect import StateFunction
 from vjm.errors import InsufficientDataError
 from vjm.model.dynamics import Mechanism, mechanism_of
-from vjm.records import Array, Indices, Mask, Recording
+from vjm.records import Array, Indices, Mask, Payload, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.stick_slip import FrictionHistory
 
@@ -150,7 +150,7 @@ class System:
     acting: tuple[_Acting, ...]
 
     @classmethod
-    def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
+    def of(cls, arms: Sequence[Arm], payloads: Sequence[Payload], gravity: tuple[float, float]) -> System:
         """Return the system of several arms with as many coordinates each, and payloads [kg] on their tips."""
         chains = [arm.chain for arm in arms]
         return cls(
@@ -255,10 +255,10 @@ class System:
 
 
 def _mechanisms(
-    chains: Sequence[Chain], payloads: Sequence[float], gravity: tuple[float, float]
+    chains: Sequence[Chain], payloads: Sequence[Payload], gravity: tuple[float, float]
 ) -> tuple[tuple[Indices | slice, Mechanism], ...]:
     """Return the mechanisms; copies of the same chain with the same payload share one."""
-    groups: dict[tuple[int, float], list[int]] = {}
+    groups: dict[tuple[int, Payload], list[int]] = {}
     for k, (chain, payload) in enumerate(zip(chains, payloads, strict=True)):
         groups.setdefault((id(chain), payload), []).append(k)
     return tuple(
@@ -275,9 +275,9 @@ def _contacts(of_copies: Sequence[Sequence[Contact]]) -> Contact:
     return Contact(joint.astype(np.intp), gap, stiffness, damping)
 
 
-def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Acting, ...]:
+def _acting_effects(arms: Sequence[Arm], payloads: Sequence[Payload]) -> tuple[_Acting, ...]:
     """Return the effects that act on the copies, those of copies with the same effects and payload together."""
-    groups: dict[tuple[int, int, float], list[int]] = {}
+    groups: dict[tuple[int, int, Payload], list[int]] = {}
     for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
         groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)
     acting = []

@@ -66,11 +66,11 @@ class ModalBasis:
         Fast modes respond quasi-statically, and are omitted where they add nothing to a static deflection. Where the
         arm is nonsmooth, a joint that is stiff in contact turns freely apart from it: none of the first 16 is omitted.
         """
-        M, _, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
+        M, _, K, _ = linearise(chain, recording.payload_body, recording.gravity, recording.initial_theta)
         squares, shapes = linalg.eigh(K, M)
         slow_count = int(np.count_nonzero(np.sqrt(np.maximum(squares, 0.0)) * interval < _SLOW_PHASE))
         # Compliances of the modes that bend the arm; limited, as that of an arm about to buckle would be infinite.
-        slowest, _ = locked_joint_frequencies(chain, recording.payload)
+        slowest, _ = locked_joint_frequencies(chain, recording.payload_body)
         compliance = 1 / np.maximum(squares[chain.active.size :], (2 * np.pi * slowest) ** 2)
         needed = np.count_nonzero(np.cumsum(compliance[::-1]) > _OMITTED_COMPLIANCE * np.sum(compliance))
         slow_count = min(max(slow_count, chain.active.size + 1), chain.size, _MAX_MODES)
@@ -141,7 +141,7 @@ class _EquationsOfMotion:
     def __init__(self, arm: Arm, motions: Motions) -> None:
         self.arm = arm
         self.driven = [arm.inputs(observed.recording) for observed in motions.observed]
-        self.gravity, payload = self.driven[0].gravity, self.driven[0].payload
+        self.gravity, payload = self.driven[0].gravity, self.driven[0].payload_body
         self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
         self.force = arm.forces(payload)
 

@@ -13,7 +13,7 @@ from scipy import stats
 from vjm.diagnosis.symptoms.channels import GROUPS, Channels, Coefficient, SensorAtRest, Tone, explained, regress
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
 from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeDifference, MotionComparison
-from vjm.records import Array, Record, Rig, SimulatedRecording
+from vjm.records import Array, Payload, Record, Rig, SimulatedRecording
 from vjm.text import capital, counted
 
 # Sentence of each kind, and the words that stand for {way} where the value is positive and where it is negative.
@@ -90,11 +90,11 @@ class Symptoms(Record):
 
     @classmethod
     def of(
-        cls, rig: Rig, simulated: Sequence[SimulatedRecording], frequencies: Mapping[float, Sequence[float]]
+        cls, rig: Rig, simulated: Sequence[SimulatedRecording], frequencies: Mapping[Payload, Sequence[float]]
     ) -> Symptoms:
         """Find what differs between recordings and the model's simulations of them.
 
-        `frequencies` are the model's natural ones [Hz] with each payload of the recordings [kg], as many with each.
+        `frequencies` are the model's natural ones [Hz] with each payload of the recordings, as many with each.
         """
         recordings = []
         for replay in simulated:
@@ -104,7 +104,7 @@ class Symptoms(Record):
             if replay.recording.kind in ("quiet", "static"):
                 at_rest = [quiet for quiet in map(SensorAtRest.of, sensors) if quiet is not None]
             elif sensors:
-                modes = MotionComparison.of(replay.recording, sensors, frequencies[replay.recording.payload])
+                modes = MotionComparison.of(replay.recording, sensors, frequencies[replay.recording.payload_body])
             recordings.append(RecordingSymptoms(replay, sensors, misfit, modes, at_rest=tuple(at_rest)))
         separate, together = joint_profiles(
             rig,

@@ -298,7 +298,7 @@ def _frequencies(experiment: Experiment) -> _Frequencies:
             if nominal.size:
                 return _Frequencies(rig, recording, float(frequencies[0]), nominal)
     try:
-        locked = np.array(locked_joint_frequencies(_chain(rig), order[0].payload)[:1])
+        locked = np.array(locked_joint_frequencies(_chain(rig), order[0].payload_body)[:1])
     except VjmError:  # a link that buckles under its weight
         locked = np.zeros(0)
     return _Frequencies(rig, order[0], None, locked)
@@ -308,13 +308,13 @@ def _chain(rig: Rig) -> Chain:
     return nominal_chain(rig, rig_layouts(rig, [6] * len(rig.links)))
 
 
-def _nominal_frequencies(rig: Rig, recording: Recording, payload: float) -> Array:
-    """Return the slowest frequencies (m,) of the rig's numbers [Hz] under a recording's gravity and a payload [kg].
+def _nominal_frequencies(rig: Rig, recording: Recording, payload_mass: float) -> Array:
+    """Return the slowest frequencies (m,) of the rig's numbers [Hz] in a recording, with a mass [kg] of its payload.
 
     There are none of a link that falls, which is no vibration, or buckles.
     """
     try:
-        M, D, K, _ = linearise(_chain(rig), payload, recording.gravity)
+        M, D, K, _ = linearise(_chain(rig), recording.payload_body._replace(mass=payload_mass), recording.gravity)
     except VjmError:
         return np.zeros(0)
     stiffness = np.linalg.eigvalsh(K)

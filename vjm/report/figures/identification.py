@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from vjm.chain.virtual_links import Chain
 from vjm.identification.records import Comparison, Identification
 from vjm.identification.training_data import PreparedRecording
+from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Indices, Recording, RecordingComparison, Rig
 from vjm.report.figures.panels import (
     DIVERGING,
@@ -207,8 +208,8 @@ def _residual_spectra(
     for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
         torque_spectrum = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
         drawn = [(torque_spectrum, "torque method", Color.TORQUE)] if torque_spectrum is not None else []
-        modes = model.modes(comparison.recording.payload).frequencies
-        Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
+        frequencies = modes(model.chain, comparison.recording.payload_body).frequencies
+        Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], frequencies)
         peak = _peak(model, comparison, spectrum, white)
         axes.set_title(
             f"{recording_label(comparison.recording, 20)}: {'noise only' if peak is None else f'largest {peak}'}"
@@ -227,9 +228,9 @@ def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum, whi
     peak, line = float(spectrum.frequency[index]), float(spectrum.frequency[0])
     if index < 2:  # not even two periods in the recording
         return f"below {number(float(spectrum.frequency[2]), 2)} Hz (drift)"
-    modes = model.modes(comparison.recording.payload).frequencies
-    nearest = int(np.argmin(np.abs(modes - peak)))
-    mode = f" (mode {nearest + 1})" if abs(modes[nearest] - peak) < max(0.05 * peak, 2 * line) else ""
+    frequencies = modes(model.chain, comparison.recording.payload_body).frequencies
+    nearest = int(np.argmin(np.abs(frequencies - peak)))
+    mode = f" (mode {nearest + 1})" if abs(frequencies[nearest] - peak) < max(0.05 * peak, 2 * line) else ""
     return f"at {number(peak, 3)} Hz{mode}"
 
 

@@ -1,0 +1,25 @@
+"""Bodies that are known to be on the tip of a link."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Payload(NamedTuple):
+    """A rigid body on the tip of a link."""
+
+    mass: float = 0.0  # [kg]
+    offset: float = 0.0  # of its centre beyond the tip, along the link there [m]
+    inertia: float = 0.0  # about its centre [kg m^2]
+
+    def with_another(self, other: Payload) -> Payload:
+        """Return both as one body."""
+        mass = self.mass + other.mass
+        if not mass:
+            return NO_PAYLOAD
+        offset = (self.mass * self.offset + other.mass * other.offset) / mass
+        inertia = sum(body.inertia + body.mass * (body.offset - offset) ** 2 for body in (self, other))
+        return Payload(mass, offset, inertia)
+
+
+NO_PAYLOAD = Payload()
