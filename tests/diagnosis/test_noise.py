@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from tests.diagnosis import rigs
 from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
 from vjm.diagnosis.noise import Noise, _autoregression, _frame_numbers
 from vjm.effects import CameraVibration, InPlaneGravity
@@ -135,3 +136,19 @@ def test_a_shaking_camera_is_not_taken_for_noise_by_few_markers(direction: float
     noise = Noise.of(point_of(chain_of(2), (), recordings).runs)
     assert noise.std == pytest.approx(NOISE[0], rel=0.1)
     assert noise.autoregression.size == 0
+
+
+@pytest.mark.parametrize(("hidden", "joints"), [([], 3), ([], 2), ([1], 2)])
+def test_what_moves_no_marker_takes_no_noise_away(
+    hidden: list[int], joints: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the link's frame its turn does not show, and where y alone is measured, neither does a shift along x."""
+    own_frame = replace(rigs.RIG, links=(replace(rigs.LINK, markers_frame="link"),))
+    monkeypatch.setattr(rigs, "RIG", own_frame)
+    recordings = []
+    for recording in recorded(Arm(chain_of(joints)), 1, duration=5.0):
+        markers = recording.markers.copy()
+        markers[..., 0] = np.nan
+        markers[:, hidden] = np.nan
+        recordings.append(replace(recording, markers=markers))
+    assert Noise.of(point_of(chain_of(joints), (), recordings).runs).std == pytest.approx(NOISE[0], rel=0.1)

@@ -9,8 +9,9 @@ import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.diagnosis.residual_tests import compare_repeats
+from vjm.diagnosis.segments import simulate_segments
 from vjm.effects import TorqueGain
-from vjm.identification.trajectory_fit import Point
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.run import Run
@@ -48,10 +49,21 @@ def test_what_a_model_gets_wrong_every_time_repeats() -> None:
 def test_what_happens_once_does_not_repeat() -> None:
     found = compare_repeats(runs_of([1, 2], [False, True]))
     assert found is not None
-    assert found.recurring_share == pytest.approx(0.5, abs=0.02)  # one of two: half of sum and difference each
-    opposite = compare_repeats([*runs_of([1], [True]), mirrored(runs_of([2], [True])[0])])
+    assert found.recurring_share == pytest.approx(0.0, abs=0.02)
+    opposite = compare_repeats([*runs_of([1], [True]), mirrored(runs_of([1, 2], [True, True])[1])])
     assert opposite is not None
     assert opposite.recurring_share < 0.1
+
+
+def test_segments_are_compared_with_those_of_the_same_time() -> None:
+    whole = runs_of([1, 2], [True, True], late=3.0)
+    point: Point = point_of(chain_of(), (), [run.observed.recording for run in whole])
+    segments = simulate_segments(TrajectoryFit(point), point.problem.observed, 0.5)
+    assert len(segments.runs) > 4
+    found = compare_repeats(segments.runs)
+    assert found is not None
+    assert found.individual == pytest.approx(1.0, abs=0.05)
+    assert found.recurring_share > 0.8
 
 
 def mirrored(run: Run) -> Run:

@@ -99,11 +99,12 @@ def _projected_residuals(run: Run) -> tuple[Indices, Array, float] | None:
             simulated[:, joint] = np.interp(time, observed.recording.time[known], theta[known])
     straight = simulated.copy()
     straight[:, run.chain.passive] = 0.0
-    starts = [_fit_frames(run, time, q, directions, shifts, measured, coordinates) for q in (simulated, straight)]
-    best = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
-    residual = np.where(best[:, None] == 0, *starts)
-    share = 1 - (directions.shape[1] + shifts.shape[2]) / coordinates.sum()
-    return _frame_numbers(time), residual - residual.mean(axis=0), share
+    residual, ranks = _fit_frames(run, time, simulated, directions, shifts, measured, coordinates)
+    other, other_ranks = _fit_frames(run, time, straight, directions, shifts, measured, coordinates)
+    better = np.sum(residual**2, axis=1) <= np.sum(other**2, axis=1)
+    residual, ranks = np.where(better[:, None], residual, other), np.where(better, ranks, other_ranks)
+    share = 1 - float(ranks.mean()) / coordinates.sum()
+    return (_frame_numbers(time), residual - residual.mean(axis=0), share) if share > 0 else None
 
 
 def _camera_shifts(markers: Array, coordinates: Mask, motions: int, links: int) -> Array:
@@ -114,7 +115,7 @@ def _camera_shifts(markers: Array, coordinates: Mask, motions: int, links: int) 
     """
     frames, count = len(markers), int(coordinates.sum())
     axes = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[coordinates]
-    if count / 2 > motions:
+    if coordinates.reshape(-1, 2).any(axis=1).sum() > motions:
         return np.broadcast_to(axes, (frames, *axes.shape))
     if links > 1 or count <= motions + 1 or not axes.any(axis=0).all():
         return np.zeros((frames, count, 0))
@@ -125,25 +126,32 @@ def _camera_shifts(markers: Array, coordinates: Mask, motions: int, links: int) 
 
 def _fit_frames(
     run: Run, time: Array, q: Array, directions: Array, shifts: Array, markers: Array, coordinates: Mask
-) -> Array:
-    """Fit each frame's marker coordinates (F, 2 k) by Gauss-Newton, from angles q (F, nv); return residuals (F, c) [m].
+) -> tuple[Array, Indices]:
+    """Fit each frame's marker coordinates (F, 2 k) by Gauss-Newton, from angles q (F, nv).
 
     The unknowns are changes of the angles along directions (nv, m), and shifts of the coordinates (F, c, s).
+
+    Returns:
+        Residuals (F, c) [m]; and the numbers (F,) of independent ones among these directions and shifts. In its own
+        frame a link's turn moves no marker, and where y alone is measured, neither does a shift along x.
     """
-    residual, elapsed = np.zeros(0), run.trajectory.elapsed(time)
+    residual, ranks, elapsed = np.zeros(0), np.zeros(len(q), dtype=np.intp), run.trajectory.elapsed(time)
+    rounding = np.sqrt(np.finfo(float).eps)  # of the largest: what moves the markers by less does not move them
     for _ in range(12):  # steps are limited at first, and converge quadratically near the solution
         predicted = run.observed.arcs.measured_positions(run.arm, q, elapsed).reshape(len(q), -1)[:, coordinates]
         slopes = run.observed.arcs.jacobian(run.arm, q, elapsed, directions)[:, coordinates]
         slopes = np.concatenate([slopes, shifts], axis=2)
         difference = markers[:, coordinates] - predicted
-        change = (np.linalg.pinv(slopes) @ difference[:, :, None])[:, :, 0]
+        change = (np.linalg.pinv(slopes, rcond=rounding) @ difference[:, :, None])[:, :, 0]
+        sizes = np.linalg.svd(slopes, compute_uv=False)
+        ranks = np.count_nonzero(sizes > rounding * sizes[:, :1], axis=1)
         residual = difference - (slopes @ change[:, :, None])[:, :, 0]
         turn = change[:, : directions.shape[1]] @ directions.T
         largest = np.abs(turn).max(axis=1, keepdims=True)
         q = q + turn * np.minimum(1.0, 0.3 / np.maximum(largest, 1e-300))  # rad; sin x = x within 1.5 % up to there
         if largest.max() < 1e-3:  # rad; the linear residual is then right to 1e-6 of the arm's length
             break
-    return residual
+    return residual, ranks
 
 
 def _frame_numbers(time: Array) -> Indices:
@@ -160,13 +168,12 @@ def _frame_numbers(time: Array) -> Indices:
 def _autocorrelation(residuals: Sequence[tuple[Indices, Array, float]]) -> tuple[float, Array, int]:
     """Return the noise of a coordinate [m], its autocorrelation up to the largest order, and the degrees of freedom."""
     lags = range(_MAX_ORDER + 1)
-    squares, freedom, products, counts = 0.0, 0.0, np.zeros(len(lags)), np.zeros(len(lags))
+    products, counts = np.zeros(len(lags)), np.zeros(len(lags))
     for numbers, residual, share in residuals:
         # Outliers are clipped at 3.5 standard deviations of each coordinate (1.4826 MAD), which normal noise exceeds
         # once in 2,000 times. They differ among coordinates, as the projection takes more from some than from others.
         limit = 3.5 * 1.4826 * np.median(np.abs(residual), axis=0)
         clipped = np.clip(residual, -limit, limit)
-        squares, freedom = squares + float(np.sum(clipped**2)), freedom + share * clipped.size
         series = np.full((numbers[-1] + 1, clipped.shape[1]), np.nan)  # a dropped frame is a row of NaN
         series[numbers] = clipped
         for lag in lags:
@@ -174,7 +181,7 @@ def _autocorrelation(residuals: Sequence[tuple[Indices, Array, float]]) -> tuple
             products[lag] += np.nansum(pairs)
             counts[lag] += share * np.isfinite(pairs).sum()
     mean = products / np.maximum(counts, 1.0)
-    return float(np.sqrt(squares / freedom)), mean / max(mean[0], 1e-300), int(counts[0])
+    return float(np.sqrt(mean[0])), mean / max(mean[0], 1e-300), int(counts[0])
 
 
 def _autoregression(correlation: Array, count: int) -> Array:

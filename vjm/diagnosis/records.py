@@ -104,9 +104,13 @@ class RepeatComparison:
 
     @property
     def recurring_share(self) -> float:
-        """Share of the mean square beyond noise that recurs; NaN where there is none."""
+        """Share of the mean square beyond noise that recurs; NaN where there is none.
+
+        An error m that recurs and errors d that do not make 2 m^2 + d^2 of the first mean square, d^2 of the second.
+        """
         common, individual = (max(rms**2 - 1.0, 0.0) for rms in (self.common, self.individual))
-        return common / (common + individual) if common + individual > 0 else float("nan")
+        beyond_noise = common + individual
+        return max(common - individual, 0.0) / beyond_noise if beyond_noise > 0 else float("nan")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from vjm.diagnosis.screen import Screen
 from vjm.effects.effect import Effect, LinkEffect, StateFunction, magnitude, shape_parameter
 from vjm.identification.trajectory_fit import Point
 from vjm.records import Array, Payload, Rig
-from vjm.simulation.run import Run
+from vjm.simulation.run import Run, by_recording
 
 _LEAST_COEFFICIENTS = 20  # of a band: their sum of squares is then known within a third (sqrt(2/20))
 
@@ -66,7 +66,7 @@ def _bands(run: Run) -> Iterator[ResidualBand]:
 def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
     """Compare the residuals of recordings that share a `repeat` label, each with the next; None where there are none.
 
-    Each is simulated from an initial state of its own.
+    The runs are of recordings, or of their segments, each from an initial state of its own.
     """
     sums, differences = np.zeros(0), np.zeros(0)
     for first, second in _repeated_residuals(runs):
@@ -80,8 +80,8 @@ def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
 def _repeated_residuals(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
     """Yield pairs of residuals (N,), (N,) of the same marker coordinates at the same instants since the start."""
     for label in sorted({label for run in runs if (label := run.observed.recording.repeat) is not None}):
-        for earlier, later in pairwise(run for run in runs if run.observed.recording.repeat == label):
-            (times, residuals), (later_times, later_residuals) = _marker_residuals(earlier), _marker_residuals(later)
+        repeats = by_recording([run for run in runs if run.observed.recording.repeat == label]).values()
+        for (times, residuals), (later_times, later_residuals) in pairwise(map(_marker_residuals, repeats)):
             if times.size < 2 or later_times.size < 2:
                 continue
             nearest = np.clip(np.searchsorted(later_times, times), 1, later_times.size - 1)
@@ -93,10 +93,15 @@ def _repeated_residuals(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
             yield first[measured], second[measured]
 
 
-def _marker_residuals(run: Run) -> tuple[Array, Array]:
-    """Return instants since the start (F,) [s] and residuals of the markers (F, 2 k), in units of the noise."""
-    time = run.observed.recording.time
-    return time[run.observed.frames] - time[0], run.observed.on_grid(run.residual)[0]
+def _marker_residuals(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """Return instants since a recording's start (F,) [s] and its markers' residuals (F, 2 k), in units of the noise.
+
+    The runs are of the recording, or of its segments.
+    """
+    times = [run.observed.recording.time[run.observed.frames] - run.observed.began for run in runs]
+    residuals = np.concatenate([run.observed.on_grid(run.residual)[0] for run in runs])
+    order = np.argsort(np.concatenate(times), kind="stable")
+    return np.concatenate(times)[order], residuals[order]
 
 
 _REST = 0.01  # rad per unit of time, 0.3 % of the rate of a swing by one radian in the first mode; less is rest
