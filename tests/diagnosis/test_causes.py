@@ -81,7 +81,9 @@ def inflation(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     known = alternatives.information_of
 
     def information(fit: Any) -> Any:
-        return SimpleNamespace(inflation=value) if isinstance(fit, SimpleNamespace) else known(fit)
+        return (
+            SimpleNamespace(inflation=value, covariance=np.eye(4)) if isinstance(fit, SimpleNamespace) else known(fit)
+        )
 
     monkeypatch.setattr(alternatives, "information_of", information)
     return float(value)
@@ -93,7 +95,7 @@ def test_a_p_value_allows_for_residuals_that_last(inflation: float) -> None:
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: seen.append(decrease) or 1e-9)
     search = SimpleNamespace(start=None, refit_without=lambda *_: model((), 1400.0))
     result = SimpleNamespace(best=model((payload,), 1000.0), first_tests=family, p_values={}, fits={}, segment_fits={})
-    estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3))
+    estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0)
     assert seen == [400.0 / max(inflation, 1.0)]
 
 
@@ -108,7 +110,7 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     p_values = {payload.key: 1e-3, offset.key: 1e-5}
     result = SimpleNamespace(best=best, first_tests=family, p_values=p_values, fits=tried, segment_fits={})
     others = {payload.key: (alternative,)}
-    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(4)))
+    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit))
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]
@@ -127,7 +129,7 @@ def test_a_refit_out_of_time_is_no_measure_of_what_is_missed(share: float) -> No
         search = SimpleNamespace(start=None, refit_without=lambda *_, done=converged: model((), 9e6, done))
         result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
         result.segment_fits = {frozenset(): model((), share * 7000.0, count=int(share * 1000))}
-        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3))
+        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0)
         assert cause.decrease == pytest.approx(missed)
         assert not cause.evidence.startswith("its fit ended")
 
@@ -141,7 +143,7 @@ def test_a_cause_whose_fit_was_no_better_than_that_without_it_explains_nothing()
     result = SimpleNamespace(
         best=model((payload,), 1000.0), first_tests=family, p_values={}, fits={frozenset(): better}, segment_fits={}
     )
-    (cause,) = ranked(estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(3)))
+    (cause,) = ranked(estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0))
     assert (cause.decrease, cause.p_value, cause.role) == (0.0, 0.5, "main")
     assert cause.evidence == "its fit ended before it was better than that without it"
 
@@ -154,10 +156,10 @@ def test_a_cause_that_was_not_fitted_without_does_not_claim_what_others_explain(
     best = model((payload,) if alone else (payload, offset), 1000.0)
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: 1e-9)
     start = model((), 50_000.0)
-    search = SimpleNamespace(start=start, refit_without=lambda *_: None)
+    search = SimpleNamespace(refit_without=lambda *_: start if alone else None, out_of_time=True)
     result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
     monkeypatch.setattr(alternatives, "predicted_increase", lambda fit, effect: 70.0 if effect is payload else 30.0)
-    causes = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(4))
+    causes = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0)
     assert [cause.decrease for cause in causes] == ([49_000.0] if alone else [70.0, 30.0])
     assert all(cause.evidence.startswith("not fitted without it, out of time") != alone for cause in causes)
 

@@ -32,7 +32,7 @@ def linear(
     observed = [SimpleNamespace(recording=SimpleNamespace(file=f"{k}.csv", repeat=r)) for k, r in enumerate(repeats)]
     prior = np.zeros((0, count)), np.zeros(0)
     problem = SimpleNamespace(prior=lambda x: prior, parts=(), reference_effects=0)
-    runs = [SimpleNamespace(observed=one) for one in observed]
+    runs = [SimpleNamespace(observed=one, log_determinant=0.0) for one in observed]
     fixed = np.zeros(count, dtype=bool) if held is None else np.array(held)
     point = SimpleNamespace(problem=problem, x=np.zeros(count), runs=runs, linearizations=parts, held=fixed)
     return SimpleNamespace(point=point, effects=(), new_effects=())

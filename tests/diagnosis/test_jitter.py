@@ -9,6 +9,7 @@ import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import StoppingRule, information_of, refit
+from vjm.diagnosis.cross_validation import _prediction_errors
 from vjm.diagnosis.screen import Screen
 from vjm.effects import TimestampJitter
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
@@ -51,6 +52,11 @@ def test_jitter_is_found_with_its_standard_error(correlation: float) -> None:
     assert abs(after.point.x[-1:] - truth) < 3 * std
     assert after.misfit == pytest.approx(1.0, abs=0.03)  # what is left is noise, made white
     assert np.std(after.point.runs[1].residual) == pytest.approx(1.0, abs=0.04)
+    # With few parameters a recording is predicted nearly as well from the other one as it is fitted.
+    predicted = _prediction_errors(after)
+    judged = np.flatnonzero(np.isfinite(predicted))
+    assert judged.size
+    assert predicted[judged] == pytest.approx([after.point.runs[k].chi2 for k in judged], rel=0.05)
     if not correlation:
         assert screen.statistics[0] == pytest.approx(before.chi2 - after.chi2, rel=0.05)
 

@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
-from vjm.diagnosis import candidate_fit, selection
+from vjm.diagnosis import candidate_fit, reference, selection
 from vjm.diagnosis.alternatives import _with_errors
-from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     StoppingRule,
     _multistart,
@@ -21,11 +20,15 @@ from vjm.diagnosis.candidate_fit import (
     information_of,
     predicted_increase,
     refit,
+    refit_other_frequencies,
 )
 from vjm.diagnosis.cross_validation import is_determined
 from vjm.diagnosis.diagnose import _with_residual
+from vjm.diagnosis.discretization import corrected_for_discretization
 from vjm.diagnosis.records import Candidate
+from vjm.diagnosis.reference import find_preexisting_effects
 from vjm.diagnosis.segments import fit_segments, largest_chi2_in_longer
+from vjm.diagnosis.workers import SERIAL
 from vjm.effects import (
     ActuatorLag,
     Backlash,
@@ -779,3 +782,50 @@ def test_no_effect_is_found_in_bends_so_large_that_eight_joints_leave_ten_times_
     assert not result.best.effects
     assert result.best.misfit == pytest.approx(1.0, abs=0.03)
     assert not search.still_needed(result)
+
+
+def test_another_frequency_is_beside_the_same_discretization_error() -> None:
+    truth = GearElasticity(link=0, stiffness=30.0, motor_share=0.5, damping=0.01)
+    segments = in_segments(recorded(Arm.of(chain_of(), (truth,)), 1))
+    stiff = refit(segments, [replace(truth, stiffness=4 * truth.stiffness)], StoppingRule(max_steps=0))
+    assert stiff is not None
+    known = replace(stiff, shift=np.arange(stiff.point.x.size, dtype=float))
+    found = refit_other_frequencies(known)
+    assert found.chi2 < known.chi2
+    assert found.shift is known.shift
+
+
+def test_an_effect_at_another_joint_is_not_the_one_that_is_there() -> None:
+    """Its fit was wanted when the deadline came, and is missing."""
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)))
+    here, there = (CoulombFriction(link=k, torque=0.1) for k in (0, 1))
+    search = selection.Search(RIG, start, [here, there], selection.SearchOptions(deadline=0.0), lambda text: None)
+    present = SimpleNamespace(effects=(here,), effect_keys=frozenset({here.key}), misfit=1.0)
+    assert search.fit_models(present, [(here, there)], np.inf, {}) == []  # type: ignore[arg-type]
+    assert search.unfinished == {there.key}
+
+
+def test_what_was_there_before_a_change_is_known_in_whole_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search for it may have ended in segments."""
+    recordings = [replace(each, condition="reference") for each in recorded(Arm(chain_of()), 1)]
+    whole = TrajectoryFit(point_of(chain_of(), (), recordings))
+    segments = refit(in_segments(recordings), [ViscousFriction(link=0, coefficient=0.01)], StoppingRule(max_steps=0))
+    assert segments is not None
+    assert len(segments.point.runs) > len(recordings)
+
+    class Found:
+        whole = tuple(run.observed for run in TrajectoryFit(point_of(chain_of(), (), recordings)).point.runs)
+        stopped = False
+
+        def __init__(self, *_: object) -> None: ...
+
+        def run(self) -> SimpleNamespace:
+            return SimpleNamespace(best=segments)
+
+    monkeypatch.setattr(reference, "Search", Found)
+    monkeypatch.setattr(reference, "INCOMPLETE_MISFIT", 0.0)
+    baseline = SimpleNamespace(fit=whole, changed=(None,))
+    known, warning = find_preexisting_effects(baseline, [], RIG, lambda text: None, SERIAL)  # type: ignore[arg-type]
+    assert [run.observed.recording.file for run in known.point.runs] == [each.file for each in recordings]
+    assert "viscous friction (coefficient" in warning
+    assert "N m s/rad) reduces it" in warning

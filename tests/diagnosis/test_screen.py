@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ from vjm.effects import (
     TimeOffset,
     TipPayload,
     TorqueGain,
+    TorqueOffset,
     ViscoelasticCreep,
     ViscousFriction,
 )
@@ -349,3 +351,13 @@ def test_fourier_sums_of_coarse_and_fine_frequencies_are_the_direct_ones(count: 
     frequencies = 0.2 + 0.05 * np.arange(count)
     direct = np.exp(-2j * np.pi * np.outer(frequencies, time)) @ values
     np.testing.assert_allclose(_fourier_transform(time, values, frequencies), direct, rtol=0, atol=1e-10)
+
+
+def test_of_three_effects_those_with_feasible_signs_count_together() -> None:
+    effects = (ViscousFriction(link=0), TorqueOffset(link=0), TorqueGain(link=0))
+    R = np.eye(4)
+    R[:, -1] = [-1.0, 2.0, 3.0, 0.5]  # friction would have to be negative
+    screen = Screen(effects, (slice(0, 1), slice(1, 2), slice(2, 3)), R, np.ones(3), cast(Any, None))
+    assert screen.one_sided.tolist() == [True, False, False]
+    assert screen.decrease([0, 1, 2]) == pytest.approx(13.0)
+    assert screen.decrease([0]) == 0.0

@@ -119,7 +119,7 @@ def _substitute_sizes(screened: Screen, cause: Effect, tolerance: float) -> dict
     remaining_chi2, guesses = np.full(len(screened.effects), np.inf), dict[int, Array]()
     for k in range(1, len(screened.effects)):
         columns = screened.R[:, screened.parts[k]]
-        if screened.absorbed[k] or not np.isfinite(columns).all():
+        if screened.absorbed[k]:
             continue
         guess = np.asarray(np.linalg.lstsq(columns, change, rcond=1e-10)[0])
         guesses[k] = guess
@@ -135,7 +135,6 @@ def estimate_causes(
     search: Search,
     alternatives: Mapping[Key, tuple[Alternative, ...]],
     reference_misfit: float,
-    covariance: Array,
 ) -> tuple[Cause, ...]:
     """Return the best model's new effects as causes.
 
@@ -144,11 +143,10 @@ def estimate_causes(
         search: fits the best model without an effect where that was not done on the way.
         alternatives: for each cause, effects that explain the recordings as well in its place.
         reference_misfit: misfit of the reference recordings that counts as noise; at least one.
-        covariance: (p, p) covariance of the best model's coordinates.
     """
-    best, causes = result.best, []
+    best, causes, information = result.best, [], information_of(result.best)
     # By which chi^2 of models differs more, where the best one leaves what is correlated or more than noise.
-    inflation = max(1.0, information_of(best).inflation)
+    inflation = max(1.0, information.inflation)
     estimated = best.point.problem.effects_at(best.estimate)
     for effect, estimate, part in [*zip(best.effects, estimated, best.point.problem.parts, strict=True)][
         best.point.problem.reference_effects :
@@ -160,26 +158,25 @@ def estimate_causes(
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / inflation)
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
         if reduced is None:
-            evidence = f"not fitted without it, out of time: chi² would rise by {number(decrease)} in a linear model"
+            reason = ", out of time" if search.out_of_time else ""
+            evidence = f"not fitted without it{reason}: chi² would rise by {number(decrease)} in a linear model"
         elif not decrease:
             evidence = "its fit ended before it was better than that without it"
         else:
             unit = "noise" if reference_misfit == 1 else "the residual before the change"
             before, after = ratio(reduced.misfit), ratio(best.misfit)
             evidence = f"training residual falls from {before} to {after} × {unit}, chi² by {number(decrease)}"
-        parameters = _with_errors(estimate, covariance[part, part])
+        parameters = _with_errors(estimate, information.covariance[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
     return tuple(causes)
 
 
 def _model_without(effect: Effect, result: SearchResult, search: Search) -> TrajectoryFit | None:
-    """Return the best model fitted without one of its effects; None where there was no time for it."""
+    """Return the best model fitted without one of its effects; None where that was not simulated, or not in time."""
     best = result.best
-    names = best.effect_keys - {effect.key}
-    reduced = result.fits.get(names) or search.refit_without(best, effect, result.fits)
-    if reduced is None and names == search.start.effect_keys:
-        reduced = search.start
-    shorter = result.segment_fits.get(names)
+    keys = best.effect_keys - {effect.key}
+    shorter = result.segment_fits.get(keys)
+    reduced = result.fits.get(keys) or search.refit_without(best, effect, result.fits) or shorter
     # A refit that ran out of time has not lost yet what it can lose. Shorter segments leave less than longer ones.
     if reduced is not None and not reduced.converged and shorter is not None:
         return min(reduced, shorter, key=lambda fit: _chi2_of(fit, best))

@@ -234,13 +234,9 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
                 short = StoppingRule(best.chi2, 5, deadline)  # five steps show if a start leads to a better minimum
                 trial = fit_trajectory(fit.point.problem, x, None, fit.point.states, stop=short)
                 if trial.chi2 < best.chi2:
-                    best = fit_trajectory(
-                        trial.point.problem,
-                        trial.point.x,
-                        None,
-                        trial.point.states,
-                        stop=StoppingRule(deadline=deadline),
-                    )
+                    further = StoppingRule(deadline=deadline)
+                    best = fit_trajectory(trial.point.problem, trial.point.x, None, trial.point.states, stop=further)
+                    best = replace(best, shift=fit.shift)
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return best

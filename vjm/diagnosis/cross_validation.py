@@ -82,6 +82,7 @@ def _prediction_errors(fit: TrajectoryFit) -> Array:
             change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1).best()
             residuals = [parts[k][:, :-1] @ change - parts[k][:, -1] for k in group]
             errors[index] = sum(float(residual @ residual) for residual in residuals)
+            errors[index] += sum(point.runs[k].log_determinant for k in group)  # which is a part of chi^2
     return errors
 
 

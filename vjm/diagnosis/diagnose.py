@@ -15,7 +15,7 @@ import numpy as np
 
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives, find_next_best, ranked
 from vjm.diagnosis.baseline import Baseline, fit_baseline
-from vjm.diagnosis.candidate_fit import information_of, model_of
+from vjm.diagnosis.candidate_fit import model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.reference import add_changed_recordings, find_preexisting_effects
@@ -31,7 +31,6 @@ from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
-from vjm.effects.effect import is_nonsmooth
 from vjm.errors import ChoiceError, ShapeError, is_number, is_whole, require, require_kind, require_progress, shown
 from vjm.experiment.records import require_experiment
 from vjm.identification.mistakes import refuse_mistakes
@@ -93,7 +92,9 @@ def diagnose(
     with Workers.start(jobs) as workers:
         # An eighth is kept for alternatives, and another for simulations and tests of the residuals.
         deadline = began + 0.75 * seconds
-        fit, warning = find_preexisting_effects(baseline, chosen, experiment.rig, report, workers, deadline)
+        fit, warning = baseline.fit, ""
+        if not insufficient:
+            fit, warning = find_preexisting_effects(baseline, chosen, experiment.rig, report, workers, seed, deadline)
         reference, reference_misfit = add_changed_recordings(baseline, fit)
         # Where something is missing in the reference recordings already, an effect of the change must explain as much
         # of the others as it leaves: what was missing before may be that much larger in another motion. The same holds
@@ -107,7 +108,7 @@ def diagnose(
         search.deadline = began + 0.875 * seconds
         # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
         # recordings, and otherwise in these, which show more.
-        tested = result.first_tests if result.best.effects else result.last_tests
+        tested = result.first_tests if result.best.new_effects else result.last_tests
         table = tested.table(options.alpha, options.negligible(min(search.start.chi2, search.start.point.count)))
         findings = replace(
             _findings(experiment, baseline, reference_misfit, search, result, began + seconds),
@@ -119,7 +120,7 @@ def diagnose(
         if not insufficient and is_unexplained(findings):
             resemblance = describe_residual(result.best.point, result.best.effects, experiment.rig)
             findings = replace(findings, resemblance=resemblance)
-        missed = search.unfinished - {effect.id for effect in result.best.effects}
+        missed = {name for name, _ in search.unfinished - result.best.effect_keys}
         spent = Budget(seconds, monotonic() - began, stopped or bool(missed), tuple(sorted(missed)))
         return conclude(replace(findings, budget=spent))
 
@@ -177,7 +178,7 @@ def _findings(
     after, before = (open_loop(fit, search.whole, search.deadline) for fit in (best, search.start))
     search.report("testing alternatives")
     alternatives = find_alternatives(result, search)
-    causes = estimate_causes(result, search, alternatives, reference_misfit, information_of(best).covariance)
+    causes = estimate_causes(result, search, alternatives, reference_misfit)
     search.report("simulating the recordings")
     next_best = find_next_best(result, search)
     recordings = simulate_recordings(experiment, noise, before, after, next_best, deadline)
@@ -234,14 +235,13 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
 
 def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[str, ...]:
     """Say how the chain and the recordings were treated, and what was decided about effects that are not causes."""
-    joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in baseline.fit.point.chain.links)
+    joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in result.best.point.chain.links)
     best = result.best
     known = "not measured" if best.shift is None else "measured against a finer chain and corrected"
     notes = [f"virtual joints in the search: {joints}; discretization error {known}"]
     longest = max(float(np.ptp(run.observed.recording.time)) for run in best.point.runs)
     if longest < max(float(np.ptp(run.observed.recording.time)) for run in search.start.point.runs):
-        reason = "dry friction or backlash" if is_nonsmooth(best.effects) else "a discretization error that grows"
-        reason = "out of time" if search.stopped else reason
+        reason = "out of time" if search.stopped else search.kept_in_segments
         notes.append(
             f"{reason}: fitted to {len(best.point.runs)} segments of {number(longest, 2)} s, each with its own initial "
             "state; "
@@ -258,7 +258,7 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
             f"{', '.join(search.unjustified)}: significant, but not determined by these recordings, or without gain in "
             "cross-validation; not kept"
         )
-    if best.effects and not best.converged:
+    if best.new_effects and not best.converged:
         notes.append("the last fit was stopped when further steps no longer changed the result")
     return tuple(notes)
 

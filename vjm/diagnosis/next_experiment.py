@@ -50,10 +50,16 @@ def _changes(best: TrajectoryFit) -> Iterator[tuple[str, _Change]]:
 
 
 def _scaled(factor: float, recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
-    """Return the recording and its initial state with torques and motion scaled, from the same joint angles."""
+    """Return the recording and its initial state with torques and motion scaled, from the same joint angles.
+
+    Joints of a given motion turn with scaled accelerations.
+    """
     scaled = factor * state
     scaled[active] = state[active]
-    return replace(recording, tau=factor * recording.tau), scaled
+    given = recording.acceleration
+    return replace(
+        recording, tau=factor * recording.tau, acceleration=None if given is None else factor * given
+    ), scaled
 
 
 def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:

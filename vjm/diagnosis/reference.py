@@ -13,6 +13,7 @@ import numpy as np
 from vjm.diagnosis.baseline import Baseline
 from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
 from vjm.diagnosis.selection import Report, Search, SearchOptions
+from vjm.diagnosis.simulations import open_loop
 from vjm.diagnosis.workers import Workers
 from vjm.effects import Effect
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
@@ -23,7 +24,13 @@ from vjm.text import in_sentence, number, ratio
 
 
 def find_preexisting_effects(
-    baseline: Baseline, effects: Sequence[Effect], rig: Rig, report: Report, workers: Workers, deadline: float = np.inf
+    baseline: Baseline,
+    effects: Sequence[Effect],
+    rig: Rig,
+    report: Report,
+    workers: Workers,
+    seed: int = 0,
+    deadline: float = np.inf,
 ) -> tuple[TrajectoryFit, str]:
     """Extend the model of the reference recordings by the effect that explains much of them, if one does.
 
@@ -33,6 +40,7 @@ def find_preexisting_effects(
         rig: the arm.
         report: called with what is being done, in words.
         workers: share the work.
+        seed: of random numbers.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s].
 
     Returns:
@@ -48,18 +56,21 @@ def find_preexisting_effects(
     start = replace(baseline.fit, point=_in_condition(baseline.fit.point, None))
     smooth = [effect for effect in effects if not effect.nonsmooth]
     # A cause that explains less than 30 % of chi^2 is no better than not to know.
-    options = SearchOptions(least_share=0.3, max_effects=1, deadline=deadline)
-    best = Search(rig, start, smooth, options, report, workers).run().best
+    options = SearchOptions(least_share=0.3, max_effects=1, seed=seed, deadline=deadline)
+    search = Search(rig, start, smooth, options, report, workers)
+    best = open_loop(search.run().best, search.whole, deadline)
     if not best.effects:
-        return baseline.fit, f"{warning}; no single candidate explains it"
+        return baseline.fit, f"{warning}; {'out of time' if search.stopped else 'no single candidate explains it'}"
     problem = best.point.problem
     problem = replace(problem, effects=best.effects, reference_effects=len(best.effects))
     point = _in_condition(replace(best.point, problem=problem), REFERENCE)
     known = replace(best, point=point)
-    values = ", ".join(f"{name} {number(value)}" for name, value in known.effects[0].values.items())
+    effect = known.effects[0]
+    values = ", ".join(f"{p.name} {number(effect.values[p.name])} {p.unit}".rstrip() for p in effect.parameters)
     remaining = noise * (known.misfit if known.misfit > INCOMPLETE_MISFIT else 1.0)
-    title = in_sentence(known.effects[0].title)
-    explanation = f"{title} ({values}) reduces it to {number(remaining, 2)} mm and is in both models"
+    explanation = (
+        f"{in_sentence(effect.title)} ({values}) reduces it to {number(remaining, 2)} mm and is in both models"
+    )
     return known, f"{warning}; {explanation}"
 
 

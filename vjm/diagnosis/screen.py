@@ -169,13 +169,13 @@ class Screen:
 
     def decrease(self, chosen: Sequence[int]) -> float:
         """Return the predicted decrease of chi^2 by some effects together, those with infeasible signs left out."""
-        if any(self.absorbed[k] for k in chosen):
+        if not chosen or any(self.absorbed[k] for k in chosen):
             return 0.0
         guess = self.best_sizes(chosen)
         first = 0
         for k in chosen:
             if self.one_sided[k] and guess[first] < 0:
-                return 0.0 if len(chosen) == 1 else max(self.decrease([index]) for index in chosen if index != k)
+                return self.decrease([index for index in chosen if index != k])
             first += self.magnitude_counts[k]
         unexplained = self.R[:, -1] - self.R[:, self._columns(chosen)] @ guess
         return float(self.R[:, -1] @ self.R[:, -1] - unexplained @ unexplained)

@@ -20,7 +20,6 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_again, corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     LEAST_SHARE,
@@ -33,6 +32,7 @@ from vjm.diagnosis.candidate_fit import (
     starting_effect,
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
+from vjm.diagnosis.discretization import CLOSE_MISFIT, corrected_again, corrected_for_discretization
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.diagnosis.segments import (
     draw_segments,
@@ -118,12 +118,13 @@ class Search:
         options: of the search.
         report: called with what is being done, in words.
         workers: share the work.
-        unfinished: ids of effects whose fits were wanted when the deadline came.
+        unfinished: keys of effects whose fits were wanted when the deadline came.
         unjustified: ids of effects that were dropped, since the recordings do not determine them or are predicted no
             better with them.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s]: that of the options, before which
             the last tests of candidates must be made.
         stopped: True if the deadline came before the search was done.
+        kept_in_segments: why the best model is fitted to segments of the recordings, where it is.
     """
 
     def __init__(
@@ -140,9 +141,10 @@ class Search:
         self.whole = tuple(replace(run.observed, discretization_offset=None) for run in start.point.runs)
         self.recordings = [observed.recording for observed in self.whole]
         self.p_values: dict[Key, float] = {}
-        self.unfinished: set[str] = set()
+        self.unfinished: set[Key] = set()
         self.unjustified: list[str] = []
         self.deadline, self.stopped = options.deadline, False
+        self.kept_in_segments = "no effects are looked for"
         self._all_segments: Point | None = None  # all segments, where the search begins with some of them
         self._decreases: dict[Key, float] = {}
         self._first_tests: FamilyTest | None = None  # beside the model without effects
@@ -162,6 +164,7 @@ class Search:
         """Find the effects that are needed."""
         # Where the discretization error is known, what is missing is small, and shows most in whole recordings.
         whole = self.start.shift is not None
+        self.kept_in_segments = "longer ones show more than the model explains"
         best, durations = (self.start, []) if whole else (self._fit_segments_without_effects(), self._durations())
         durations = durations if self._all_segments else durations[1:]
         fits = segment_fits = {best.effect_keys: best}
@@ -193,6 +196,8 @@ class Search:
                 break
         if family is None:
             best, fits, family = self._select_small(stages)
+        if is_nonsmooth(best.effects):
+            self.kept_in_segments = "dry friction or backlash"
         self.deadline = self.options.deadline  # the last tests are made
         if best.new_effects and not self.out_of_time:
             self.report("converging")
@@ -227,6 +232,7 @@ class Search:
                 break
             stages.pop()
             fit, fits = stages[-1]
+            self.kept_in_segments = "a discretization error that grows"
         best = fits[fit.effect_keys] = corrected or fit
         if corrected is not None:  # an effect that stood in for the discretization error is not needed any more
             best = self._backward_elimination(best, fits, doubtful=True)
@@ -426,17 +432,17 @@ class Search:
         keys = [frozenset(effect.key for effect in effects) for effects in models]
         untried = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
         if untried:
-            present = {effect.id for effect in start.effects}
-            added = sorted({effect.id for effects in untried for effect in effects} - present)
+            added = {effect.key for effects in untried for effect in effects} - start.effect_keys
             if not self.out_of_time:
-                names = " and ".join(added[:2]) + (f" and {len(added) - 2} more" if len(added) > 2 else "")
+                ids = sorted({name for name, _ in added})
+                names = " and ".join(ids[:2]) + (f" and {len(ids) - 2} more" if len(ids) > 2 else "")
                 self.report(
                     f"fitting {names}, residual {ratio(min(fit.misfit for fit in (start, *fits.values())))} × noise"
                 )
                 trials = self.workers.map(partial(refit_within_bounds, start, self.deadline, max_chi2), untried)
                 fits |= {trial.effect_keys: trial for trial in trials if trial is not None}
             if self.out_of_time:
-                self.unfinished |= set(added)
+                self.unfinished |= added
         return [fits[names] for names in keys if names in fits]
 
     def _with_candidates(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:

@@ -129,22 +129,23 @@ class Run:
     @cached_property
     def chi2(self) -> float:
         """Minus twice the log-likelihood, up to a constant: sum of squared residuals, and log det of timing noise."""
-        return float(self.residual @ self.residual) + self._log_determinant
+        return float(self.residual @ self.residual) + self.log_determinant
 
     @property
     def expected_chi2(self) -> float:
         """Expected value of `chi2` where the model is right: the number of values, and log det of timing noise."""
-        return self.observed.count + self._log_determinant
+        return self.observed.count + self.log_determinant
 
     @property
-    def _log_determinant(self) -> float:
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the residuals' covariance by timing noise; zero without any."""
         return self.timing_noise.log_determinant if self.arm.timing_variance else 0.0
 
     @cached_property
     def cost(self) -> float:
         """Objective of the search for the initial state: the residuals' loss, and the prior's term."""
         deviation = self.prior.scale * (self.prior.sqrt_information @ (self.state - self.prior.rest))
-        return float(np.sum(self.observed.loss.value(self.residual**2)) + deviation @ deviation) + self._log_determinant
+        return float(np.sum(self.observed.loss.value(self.residual**2)) + deviation @ deviation) + self.log_determinant
 
     def with_scaled_prior(self) -> Run:
         """Return the run with its prior scaled by its own RMS weighted residual, if that is above one."""

@@ -1,0 +1,81 @@
+"""Correction of a model's discretization error, beside which effects are looked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import monotonic
+
+import numpy as np
+
+from vjm.effects.effect import is_nonsmooth
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.discretization import DiscretizationBias, first_order_bias, with_offset
+from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
+from vjm.records import Rig
+
+CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
+
+
+def corrected_for_discretization(
+    fit: TrajectoryFit, rig: Rig, negligible: float = 0.0, deadline: float = np.inf
+) -> TrajectoryFit | None:
+    """Fit a model again with its chain's discretization error corrected.
+
+    Args:
+        fit: the model. Where its misfit exceeds `CLOSE_MISFIT`, more is missing than that error, and it is returned.
+        rig: the arm.
+        negligible: decrease of chi^2 up to which only the estimates of a model with stick-slip or play are corrected.
+        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
+
+    Returns:
+        The model; None where the error cannot be measured, or not in time.
+    """
+    if fit.misfit > CLOSE_MISFIT:
+        return fit
+    if is_nonsmooth(fit.effects):
+        return _corrected_to_first_order(fit, rig, negligible, deadline)
+    bias = DiscretizationBias.of(fit.point, rig, CLOSE_MISFIT, deadline)
+    return None if bias is None else bias.corrected(fit, CLOSE_MISFIT, deadline)
+
+
+def _corrected_to_first_order(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
+    """Correct a model with stick-slip or play; where a joint only just sticks, further corrections need not settle.
+
+    If that would lower chi^2 by no more than `negligible`, only the parameters are corrected, as a fit takes several
+    times as long. None where the corrected model leaves more than noise and more than the chain.
+    """
+    bias = None if monotonic() > deadline else first_order_bias(fit.point, rig)
+    if bias is None:
+        return None
+    if bias.decrease <= negligible:
+        nothing = [np.zeros_like(difference) for difference in bias.offset]
+        return replace(fit, point=with_offset(fit.point, nothing), shift=bias.shift)
+    point = with_offset(fit.point, bias.offset)
+    states = [run.state for run in point.runs]
+    try:
+        corrected = fit_trajectory(point.problem, point.x, None, states, stop=lambda *_: monotonic() > deadline)
+    except (SimulationDivergedError, InsufficientDataError):
+        return None
+    if corrected.chi2 > max(fit.chi2, corrected.point.noise_limit):
+        return None
+    runs = zip(corrected.point.runs, fit.point.runs, bias.offset, strict=True)
+    offset = [after.predicted - before.predicted + difference for after, before, difference in runs]
+    return replace(fit, point=with_offset(fit.point, offset), shift=corrected.point.x - fit.point.x)
+
+
+def corrected_again(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
+    """Measure the discretization error beside the effects of a model, and refit; None where that cannot be done.
+
+    An error measured without these effects is wrong: initial states of the incomplete model absorb part of what is
+    missing, those of a finer chain do not, and the difference looks like a discretization error, which biases damping.
+    """
+    if monotonic() > deadline:
+        return None
+    point = with_offset(fit.point, None)
+    try:
+        if point is not fit.point:
+            fit = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+    except (SimulationDivergedError, InsufficientDataError):
+        return None
+    corrected = corrected_for_discretization(fit, rig, negligible, deadline)
+    return None if corrected is None or corrected.shift is None else corrected
