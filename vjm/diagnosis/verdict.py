@@ -175,7 +175,7 @@ def _is_visible(gain: Gain | None) -> bool:
 
 def _without_causes(findings: Diagnosis) -> Diagnosis:
     causes = ", ".join(cause.effect.title for cause in findings.causes)
-    warning = f"{causes}: certain, but too small to matter: without it the residual is the same to two decimals"
+    warning = f"{causes}: certain, but too small to matter: without it the residual is the same to two digits"
     return replace(
         findings,
         causes=(),
@@ -212,6 +212,10 @@ def _description(findings: Diagnosis) -> str:
         worst = residuals.bands[0]
         low, high = worst.frequencies
         parts.append(f"largest in the {worst.sensor} of {worst.file}, {number(low)} to {number(high)} Hz")
+        recordings = {recording.file: recording for recording in findings.experiment.recordings}
+        mass, *elsewhere = recordings[worst.file].payload_body
+        if mass and not any(elsewhere):
+            parts.append("its payload was taken for a point at the tip (keys: payload_offset, payload_inertia)")
     parts += [findings.resemblance, _recurrence(findings.repeats)]
     if findings.needed:
         parts.append(f"{in_sentence(findings.needed[0].title)} would explain part of it")
