@@ -95,9 +95,9 @@ def _equivalent_fits(
 ) -> tuple[Alternative, ...]:
     """Return the effects whose fit in a cause's place has a chi^2 within the tolerance of the best, the best first."""
     shared, alternatives = best.effect_keys - {cause.key}, []
-    for names, fit in fits.items():
+    for keys, fit in fits.items():
         added = [effect for effect in fit.effects if effect.key not in shared]
-        if len(names) == len(best.effect_keys) and shared <= names and len(added) == 1 and added[0].key != cause.key:
+        if len(keys) == len(best.effect_keys) and shared <= keys and len(added) == 1 and added[0].key != cause.key:
             increase = best.chi2 * (options.criterion(fit) / options.criterion(best) - 1)
             if increase < tolerance:
                 alternatives.append(Alternative(added[0], float(increase)))

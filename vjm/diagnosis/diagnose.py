@@ -64,9 +64,9 @@ def diagnose(
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
         seed: of all random numbers.
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
-            infinite: as long as it needs. None: 120 s for two processes and up to 40 periods of the slowest vibration
-            or 3,500 frames in the training recordings, in proportion more for more, up to 240 s, as for any arm with an
-            elbow; twice that for one process.
+            infinite: as long as it needs. None: for two processes 120 s, if the training recordings have up to 40
+            periods of the slowest vibration and 3,500 frames; in proportion more for more, up to 240 s. An arm with an
+            elbow has 240 s. One process has twice as much.
         progress: called with (text, done, total) while it runs.
 
     Returns:
@@ -85,7 +85,7 @@ def diagnose(
     _check_options(max_effects, jobs, seed, budget, progress)
     likely = refuse_mistakes(experiment)
     began, seconds = monotonic(), _default_budget(experiment, jobs) if budget is None else float(budget)
-    report = Stages(progress, 0.15, seconds)  # share of what remains that each of a dozen takes
+    report = Stages(progress, 0.15, seconds)  # each of about twelve stages takes so much of what is left
     insufficient = why_insufficient(experiment)
     report("fitting the reference model")
     baseline = fit_baseline(experiment, report.inside)

@@ -48,7 +48,7 @@ class Candidate:
     """An effect at one place, as tested beside the model without effects; z and p-value are None if not testable."""
 
     effect: Effect  # absent; a shape parameter has the value at which the effect would explain most
-    z: float | None  # number of standard errors of its size off the null, all other parameters being free
+    z: float | None  # root of the score statistic: of one size, standard errors off the null, all else being free
     p_value: float | None  # probability that noise alone makes any candidate look as needed as this
     sizes: Mapping[str, float]  # as the score test guesses them, by parameter
     smallest_detectable: Mapping[str, float]  # size that is found with a probability of 90 %, by parameter

@@ -29,7 +29,7 @@ _LEAST_COEFFICIENTS = 20  # of a band: their sum of squares is then known within
 def residual_test(runs: Sequence[Run]) -> ResidualTest:
     """Test whether the residuals of recordings are white noise of unit variance, by recording, sensor and octave.
 
-    The p-value is Bonferroni's over the bands and, twice, over the bands and their total.
+    The p-value is twice the smaller one of the total's and the bands', which Bonferroni's correction makes one.
     """
     bands = sorted((band for run in runs for band in _bands(run)), key=lambda band: (band.p_value, -band.excess))
     if not bands:

@@ -18,8 +18,9 @@ from vjm.simulation.integrate import phi_functions
 from vjm.simulation.run import Run, by_recording, linearize
 
 _MOST_PEAKS = 3  # more tones at once have not been met
-_MOST_EXAMINED = 30  # highest peaks of the residuals' spectrum: with nine images above it, a tone has been the tenth
-ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
+_MOST_EXAMINED = 30  # highest peaks of the residuals' spectrum: with nine sidebands above it, a tone has been the tenth
+# Share of a direction's square below which its projection leaves only rounding: slopes are right to 3e-4.
+ABSORBED = 1e-7
 
 Peaks = tuple[list[float], float]  # the highest ones, and the number of independent values searched
 
@@ -145,14 +146,14 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
 def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peaks:
     """Return frequencies of sines that explain most of the residuals [Hz], and how many independent ones were searched.
 
-    Those of quiet recordings, where nothing else moves, and of all together, where joints are free to move. Of the
-    residuals' highest spectral peaks some are images of a tone: what initial states take up of it, segment by segment,
-    leaves peaks at multiples of the segments' rate beside its own, which may be higher. None of these explains more of
+    Those of quiet recordings, where nothing else moves, and of all together, where joints are free to move. Some of the
+    residuals' highest spectral peaks are sidebands of a tone: what initial states take up of it, segment by segment,
+    leaves peaks at multiples of the segments' rate around its own, which may be higher. None of these explains more of
     the residuals than a sine of the tone's very frequency, once initial states have been projected out of the sines.
     """
     time = max((recording.time[recording.frames] for recording in recordings), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
-    highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its image
+    highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its alias
     frequencies = np.arange(1 / duration, highest, 1 / (4 * duration))  # between two of them a peak loses 5 % at most
     # Half the width of the main lobe of Hann's window (Harris, Proceedings of the IEEE 66, 1978).
     distance = 2.0 / duration
@@ -210,7 +211,7 @@ def _power(parts: Sequence[Run], frequencies: Array) -> Array:
 
 
 def _explained(parts: Sequence[Run], frequencies: Array) -> Array:
-    """Return the decrease (F,) of a recording's windowed chi^2 by a sine of each frequency, initial states following.
+    """Return the decrease (F,) of a recording's windowed chi^2 by a sine of each frequency, initial states refitted.
 
     The sine has an amplitude and a phase of its own in each channel, a marker's coordinate or an encoder.
     """

@@ -54,7 +54,7 @@ def draw_segments(runs: Sequence[Run], values: float, seed: int) -> tuple[int, .
     """Draw so many of the segments that they hold about a number of measured values; all if these are few.
 
     Of each recording they are the first one and others, one drawn from each of equal parts of it: what grows with time
-    shows, and no image of what is periodic.
+    shows, and what is periodic has no alias.
 
     Args:
         runs: of all segments.
@@ -165,10 +165,10 @@ def _point_with_preceding_motion(point: Point, runs: Sequence[Run]) -> Point:
 
 
 def largest_chi2_in_longer(shorter: TrajectoryFit, whole: Sequence[Observations], duration: float) -> float:
-    """Return the chi^2 up to which a model leaves no more than noise of longer segments, as of `fit_segments`.
+    """Return the largest chi^2 in longer segments that noise explains, arguments as of `fit_segments`.
 
-    The initial states that fewer segments do without took up noise: a chi^2 of as many degrees of freedom at most. What
-    more there is comes of stick-slip or play in the longer segments, of which the search has missed the best minimum.
+    Longer segments have fewer initial states, which took up noise: a chi^2 of as many degrees of freedom at most, and
+    five standard deviations of it. Beyond, with stick-slip or play, the search has missed the best minimum.
     """
     unknowns = np.mean([run.basis.states.shape[1] for run in shorter.point.runs])  # of a segment's initial state
     freedom = unknowns * max(0, len(shorter.point.runs) - sum(len(segments(each, duration)) for each in whole))
@@ -176,9 +176,9 @@ def largest_chi2_in_longer(shorter: TrajectoryFit, whole: Sequence[Observations]
 
 
 def largest_chi2_in_all(fit: TrajectoryFit, all_segments: Point) -> float:
-    """Return the chi^2 up to which a model leaves no more of all segments than of some, arguments as of `fit_all`.
+    """Return the largest chi^2 in all segments that the misfit in some of them explains, arguments as of `fit_all`.
 
-    Five standard deviations beyond that of an equal misfit. Those of some segments and of the others are independent.
+    It is that of an equal misfit and five standard deviations; noise in some segments and in the others is independent.
     """
     some, every = fit.point.expected_chi2, all_segments.expected_chi2
     std = np.sqrt(2 * some * (every / some - 1) ** 2 + 2 * (every - some))

@@ -64,7 +64,7 @@ class SearchOptions:
     Attributes:
         alpha: significance level of the search as a whole.
         least_share: decrease of chi^2 from which an effect matters, as a share of the chi^2 that remains.
-        parameter_share: the same by which one of two effects must be better for each parameter that it has more.
+        parameter_share: relative penalty of chi^2 for each free parameter of the effects, as of `criterion`.
         max_effects: number of effects at most.
         seed: of random numbers.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s].
@@ -97,7 +97,7 @@ class SearchResult:
         last_tests: the same beside the best model.
         p_values: of each effect of the best model, when it was added.
         fits: models fitted to the recordings or segments of the best one.
-        segment_fits: models fitted to the first segments.
+        segment_fits: models fitted to the first segments, or to whole recordings where the search began with these.
     """
 
     best: TrajectoryFit
@@ -113,11 +113,14 @@ class Search:
 
     Attributes:
         rig: the arm.
-        start: the model to which effects are added, with whole recordings.
+        start: the model to which effects are added, with whole recordings; after the search, where none is needed, with
+            the discretization error corrected.
         effects: what is looked for.
         options: of the search.
         report: called with what is being done, in words.
         workers: share the work.
+        whole, recordings: the recordings, as measured and as given.
+        p_values: of effects that were added on the way, at that time.
         unfinished: keys of effects whose fits were wanted when the deadline came.
         unjustified: ids of effects that were dropped, since the recordings do not determine them or are predicted no
             better with them.
@@ -330,11 +333,18 @@ class Search:
     def _forward_selection(
         self, best: TrajectoryFit, fits: Fits, small: bool = False
     ) -> tuple[TrajectoryFit, FamilyTest | None]:
-        """Add effects to a model while they are needed; return it, and the score tests beside it.
+        """Add effects to a model while they are needed.
 
-        None instead of tests where the model leaves only noise, so that none were made; with `small`, where it is so
-        close that the discretization error must be measured first. That of stick-slip and play, which takes longer,
-        must be where it may stand in for an effect.
+        Args:
+            best: the model.
+            fits: known fits to the same recordings or segments, and the new ones.
+            small: whether effects are looked for although only noise is left. The discretization error is then
+                measured as soon as the model comes close; with stick-slip or play, where it takes longer, before an
+                effect is added.
+
+        Returns:
+            The model, and the score tests beside it; None instead of these where none were made, as only noise is left
+            or the discretization error must be measured first.
         """
         while small or not self._leaves_only_noise(best):
             family = self.screen(best)
@@ -429,8 +439,8 @@ class Search:
             max_chi2: fits that stay above it are given up.
             fits: known ones, which are not fitted again, and the new ones.
         """
-        keys = [frozenset(effect.key for effect in effects) for effects in models]
-        untried = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
+        models_keys = [frozenset(effect.key for effect in effects) for effects in models]
+        untried = [effects for keys, effects in zip(models_keys, models, strict=True) if keys not in fits]
         if untried:
             added = {effect.key for effects in untried for effect in effects} - start.effect_keys
             if not self.out_of_time:
@@ -443,7 +453,7 @@ class Search:
                 fits |= {trial.effect_keys: trial for trial in trials if trial is not None}
             if self.out_of_time:
                 self.unfinished |= added
-        return [fits[names] for names in keys if names in fits]
+        return [fits[keys] for keys in models_keys if keys in fits]
 
     def _with_candidates(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
         """Return a model's effects and further ones, with starting values by the linear model."""
@@ -472,7 +482,10 @@ class Search:
         return bool(reduced.chi2 - full.chi2 > self.options.negligible(reduced.chi2))
 
     def _backward_elimination(self, fit: TrajectoryFit, fits: Fits, doubtful: bool = False) -> TrajectoryFit:
-        """Drop effects that the others make needless, or `doubtful` ones, which a linear model does without."""
+        """Drop effects that the others make needless.
+
+        With `doubtful`, a single one too, but only those without which a linear model's chi^2 hardly rises.
+        """
         for effect in fit.new_effects if doubtful or len(fit.new_effects) > 1 else ():
             if doubtful and predicted_increase(fit, effect) > 3 * self.options.negligible(fit.chi2):
                 continue
@@ -498,8 +511,8 @@ class Search:
             max_chi2: a fit that stays above it is given up.
         """
         remaining = tuple(present for present in fit.effects if present is not effect)
-        names, is_whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
-        known = fits.get(names, self.start if is_whole and names == self.start.effect_keys else None)
+        keys, is_whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
+        known = fits.get(keys, self.start if is_whole and keys == self.start.effect_keys else None)
         sufficient = known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
         if sufficient or self.out_of_time:
             return known
@@ -543,7 +556,7 @@ class Search:
     def _close_second(self, best: TrajectoryFit, fits: Fits) -> TrajectoryFit | None:
         """Return the next best model of as many effects, if it is worse by less than the best one's excess of chi^2."""
         unexplained, present = best.chi2 - best.point.expected_chi2, best.effect_keys
-        rivals = [fit for names, fit in fits.items() if len(names) == len(present) and names != present]
+        rivals = [fit for keys, fit in fits.items() if len(keys) == len(present) and keys != present]
         second = min(rivals, key=self.options.criterion, default=None)
         if second is None or self._leaves_only_noise(best) or second.chi2 - best.chi2 > unexplained:
             return None

@@ -26,8 +26,8 @@ from vjm.simulation.run import Run, all_followed, state_at
 def open_loop(fit: TrajectoryFit, whole: Sequence[Observations], deadline: float = np.inf) -> TrajectoryFit:
     """Return a model in whole recordings, from their most likely initial states, as far as known at the deadline.
 
-    These are known where it was fitted to whole recordings and follows them: a fit that does not is given up for one in
-    segments, wherever its states are then. Recordings that it cannot be simulated over are left out. With stick-slip or
+    These are known where it was fitted to whole recordings and follows them; where it loses one, they are looked for
+    anew. Recordings that it cannot be simulated over are left out. With stick-slip or
     play, whose simulations take many steps, the search for a state from that of a segment is a short one.
     """
     fitted = len(fit.point.runs) == len(whole)

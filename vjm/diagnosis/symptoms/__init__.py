@@ -223,7 +223,7 @@ def _mode(source: _Source, mode: ModeDifference, recording: RecordingSymptoms) -
     if recording.simulated.recording.kind == "decay":  # driven, the phase does not go on growing
         # After the time in which the simulated motion falls to a twentieth.
         duration = min(max(sensor.duration for sensor in recording.sensors), 3 / max(-mode.pole.real, 1e-9))
-        after, turned = f"{_plain(duration)} s", mode.speed.value * duration
+        after, turned = f"{_plain(duration)} s", mode.angular_frequency.value * duration
         phase_text = f": {'gains' if turned > 0 else 'loses'} {_phase(turned)} of phase in {after}"
         if abs(phase.value) > 3 * phase.std:
             ends = (f"{'+' if end > 0 else '−'}{_phase(end)}" for end in (phase.value, phase.value + turned))
@@ -329,7 +329,7 @@ def _tone(source: _Source, sensor: Channels, tone: Tone | None, kind: str) -> It
 
 
 def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
-    """Average several recordings' values, with an error that their scatter does not belie."""
+    """Average several recordings' values, with a standard error no smaller than their scatter implies."""
     known = [estimate for estimate in estimates if estimate.known and estimate.std > 0]
     if not known:
         return Coefficient()

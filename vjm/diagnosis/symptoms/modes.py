@@ -22,8 +22,8 @@ from vjm.experiment.spectrum import Oscillators, project_out, projected_jacobian
 from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
-_TERMS = 4  # of a mode: gain, phase, decay, speed
-_LARGEST_GAIN = 3.0  # logarithm of an amplitude ratio beyond which nothing of the simulated motion is seen again
+_TERMS = 4  # of a mode: gain, phase, decay rate, angular frequency
+_LARGEST_GAIN = 3.0  # logarithm of an amplitude ratio: beyond, the measured motion is another one
 _LEAST_SIGNAL = 30.0  # root of the sum of squares over the noise: an amplitude known to 5 %
 
 
@@ -36,7 +36,7 @@ class ModeDifference(NamedTuple):
     gain: Coefficient  # natural logarithm of measured over simulated amplitude
     phase: Coefficient  # by which the measured motion is ahead [rad]
     decay: Coefficient  # difference of the decay rates [1/s]
-    speed: Coefficient  # difference of the angular frequencies [rad/s]
+    angular_frequency: Coefficient  # difference of the angular frequencies [rad/s]
 
     @property
     def simulated(self) -> float:
@@ -46,7 +46,7 @@ class ModeDifference(NamedTuple):
     @property
     def frequency(self) -> Coefficient:
         """Relative difference of the frequencies [1]."""
-        return self.speed.times(1 / abs(self.pole.imag))
+        return self.angular_frequency.times(1 / abs(self.pole.imag))
 
     @property
     def damping(self) -> Coefficient:
@@ -104,12 +104,12 @@ class MotionComparison(NamedTuple):
 
         modes = []
         for k, mode in enumerate(fit.modes):
-            gain, phase, decay, speed = range(_TERMS * k, _TERMS * (k + 1))
+            gain, phase, decay, angular_frequency = range(_TERMS * k, _TERMS * (k + 1))
             if abs(x[gain]) > np.log(10):  # ten times as large or as small: another motion, not this one changed
                 continue
             start = gained(gain, phase)
             shares = (gained(gain), gained(phase), gained(gain, phase, decay) - start,
-                      gained(gain, phase, speed) - start)  # fmt: skip
+                      gained(gain, phase, angular_frequency) - start)  # fmt: skip
             terms = (_with_model_error(estimates[gain + j])._replace(explained=share) for j, share in enumerate(shares))
             shapes = fit.shapes(mode, fit.own(x)[k], remaining[0])
             modes.append(ModeDifference(mode.order, mode.pole, shapes, *terms))
@@ -193,9 +193,9 @@ class _Fit:
 
     def waves(self, mode: _SimulatedMode, change: Sequence[float] | Array = (0.0,) * _TERMS) -> list[Complex]:
         """Return the (F, C) complex motion of a mode in each sensor, changed by its four parameters [m or rad]."""
-        gain, phase, decay, speed = change
+        gain, phase, decay, angular_frequency = change
         factor = np.exp(np.clip(gain, -_LARGEST_GAIN, _LARGEST_GAIN) + 1j * phase)
-        pole = complex(min(mode.pole.real - decay, self._fastest_growth), mode.pole.imag + speed)
+        pole = complex(min(mode.pole.real - decay, self._fastest_growth), mode.pole.imag + angular_frequency)
         return [factor * (o.responses(pole) @ a) for o, a in zip(self.oscillators, mode.amplitudes, strict=True)]
 
     @property
@@ -288,8 +288,8 @@ class _Fit:
             camera = self.sensors[0]
             frequency, power = camera.spectrum(camera.centred(camera.measured))
             for mode, terms in zip(self.modes, self.own(start), strict=True):
-                speed = 2 * np.pi * frequency - mode.pole.imag
-                terms[3] = speed[np.argmax(np.where(np.abs(speed) < 0.5 * mode.pole.imag, power, 0.0))]
+                faster = 2 * np.pi * frequency - mode.pole.imag
+                terms[3] = faster[np.argmax(np.where(np.abs(faster) < 0.5 * mode.pole.imag, power, 0.0))]
             restarted = search(start)
             best = restarted if restarted.cost < best.cost else best
         x = np.array(best.x)
