@@ -18,7 +18,7 @@ from vjm.records import NO_PAYLOAD, Array, Payload, Recording, Rig
 _FASTEST = 500.0
 # Time constants of relaxation, in the link's own unit T: from 16 periods of a cantilever, longer ones being followed as
 # this one, to the time in which its third mode turns by 0.8 rad. With three in two decades the loss is the same at all
-# frequencies to 2 / cosh(pi^2 / spacing) = 0.7 %.
+# frequencies to 2 / cosh(pi^2 / spacing) = 0.65 %.
 _SPACING = np.log(10.0) / 1.5
 _RELAXATION_TIMES: Array = 28.0 * np.exp(-_SPACING * np.arange(6))
 # Bending shapes that relax; those beyond have less than 1e-3 of a static deflection, as (3.5 / 120)^2 says.
@@ -288,7 +288,10 @@ class UnmodelledMode(Effect):
 
 @dataclass(frozen=True)
 class ViscoelasticCreep(LinkEffect):
-    """Standard linear solid: beside each spring K another, ratio K, in series with a damper, whose angle is a state."""
+    """Standard linear solid: beside each spring K another, ratio K, in series with a damper.
+
+    The deflections of these springs are internal states.
+    """
 
     ratio: float = magnitude("", 0.03, lower=0.0, upper=1.0)
     time_constant: float = shape_parameter(

@@ -94,7 +94,7 @@ class Parameter:
         return low, high
 
     def on(self, rig_units: tuple[float, float, float] | None) -> Parameter:
-        """Return the parameter in SI, from a rig's units of length [m], mass [kg], time [s]; None: signs are bounded.
+        """Return the parameter in SI, from a rig's units of length [m], mass [kg], time [s]; None: bounds keep signs.
 
         Raises:
             ShapeError: a unit that is no product of powers of known ones.
@@ -153,7 +153,7 @@ class Effect:
     link: int | None = field(default=None, kw_only=True)
     # Length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
-    # True in an arm whose derivatives are taken: what sticks only in a changed arm then does so gradually.
+    # True in an arm whose derivatives are taken: dry friction then changes its sign gradually, not at once.
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
     id: ClassVar[str] = ""  # the class's name in snake case where it is not given
@@ -257,7 +257,7 @@ class Effect:
 
     @property
     def root_coordinates(self) -> tuple[int, ...]:
-        """Indices of the coordinates of which the parameter is a root: it has no slope where they are zero."""
+        """Indices of the coordinates of which the parameter is a root: its slope is infinite where they are zero."""
         return tuple(k for k, parameter in enumerate(self._varied) if (parameter.power or 1) > 1)
 
     def scaled(self, factor: float) -> Self:

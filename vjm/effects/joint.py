@@ -21,10 +21,11 @@ from vjm.effects.effect import (
 )
 from vjm.records import Array, Payload, Recording, Rig
 
-# In the link's own unit of time T: the step under dry friction (angles of a hub that slews and stops are 0.2 urad off,
-# `docs/method.md`), and by how much the joint's rate changes between instants at which derivatives are taken, over
-# which friction reverses there.
-_FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 120, 1 / 40
+# In the link's own unit of time T: with it angles of a hub that slews and stops are 0.2 urad off (`docs/method.md`).
+_FRICTION_STEP = 1 / 120
+# In rad / T, range of the joint's rate over which friction reverses where derivatives are taken: so much the rate
+# changes between two instants at which they are.
+_GRADUAL_REVERSAL = 1 / 40
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,8 @@ class CoulombFriction(_DryFriction):
 class Stribeck(_DryFriction):
     """Dry friction that falls with the joint's rate v, torque exp(-(v / speed)^2), and sticks.
 
-    It is what friction at low rates exceeds that at high ones by, which is `coulomb_friction`. A speed above all rates
-    of the joint would make the two the same.
+    This is the excess of friction at low rates over that at high ones, which is `coulomb_friction`. A speed above all
+    rates of the joint would make the two the same.
     """
 
     torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
@@ -223,7 +224,7 @@ class GearElasticity(JointEffect):
 
     stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
-    # Typical: 7 % of critical where the halves of a hub of 0.045 m l^2 swing against each other on a typical spring, by
+    # Typical: 9 % of critical where the halves of a hub of 0.045 m l^2 swing against each other on a typical spring, by
     # 51 rad / T. At most as large as that spring's torque in the slowest mode, 3.5 rad / T behind a heavy hub: beyond,
     # the damper holds the hub to the motor in every mode.
     damping: float = shape_parameter("N m s/rad", 0.1, upper=9.0, power=1, in_rig_units=True)
@@ -247,7 +248,7 @@ class GearElasticity(JointEffect):
 
 # Logarithms of a table's frequency over the typical one, 2.3 / T, to which searches may go: an eighth of it is slower
 # than the arm by itself, sixteen times it faster than the arm's fourth mode.
-_TABLE_OCTAVES = (-np.log(8.0), np.log(16.0))
+_LOG_TABLE_FREQUENCIES = (-np.log(8.0), np.log(16.0))
 
 
 @dataclass(frozen=True)
@@ -317,7 +318,7 @@ class BaseCompliance(Effect):
         """Lower and upper bounds (4,), (4,) of the coordinates."""
         stiffness, _, _, damping = self.parameters
         largest = stiffness.bounds[1]
-        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, damping.bounds, (-largest, largest)])
+        pairs = np.array([stiffness.bounds, _LOG_TABLE_FREQUENCIES, damping.bounds, (-largest, largest)])
         return pairs[:, 0], pairs[:, 1]
 
     @property

@@ -249,7 +249,7 @@ class MarkerOffset(LinkEffect):
 
 @dataclass(frozen=True)
 class EncoderOffset(ColumnEffect):
-    """An encoder whose zero is not where the link points along x; the offset is shown less true angle."""
+    """An encoder whose zero is not where the link points along x; the offset is its reading less the true angle."""
 
     offset: float = magnitude("rad", 0.005, lower=-np.pi, upper=np.pi)
 
@@ -268,7 +268,7 @@ class EncoderOffset(ColumnEffect):
 
 @dataclass(frozen=True)
 class _ClockEffect(Effect):
-    """Acts on the camera's clock against that of encoders and torques; one clock alone is never wrong."""
+    """Acts on the camera's clock against that of encoders and torques; alone it can be compared with nothing."""
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         known = is_recorded(recordings, "tau") or is_recorded(recordings, "theta")

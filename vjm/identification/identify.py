@@ -100,7 +100,7 @@ def identify(
     require_kind("baselines", baselines, bool, "True or False")
     require_progress(progress)
     likely = refuse_mistakes(experiment)
-    progress = Stages(progress, 0.25).inside  # share of the remaining progress that a fit takes: there are seven
+    progress = Stages(progress, 0.25).inside  # share of what is left that each of about seven fits takes
     data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
     if method != "trajectory":
         torque = fit_torque(data, data.parameters, method == "torque+frequency", progress)

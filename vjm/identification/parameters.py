@@ -79,7 +79,9 @@ class Parametrisation:
             if self.kind in ("lengths", "full"):  # the last length follows from the total
                 result += [_Coordinate(f"{link.name}.length_{j}", "m", i, "length", j) for j in joints]
             if self.kind == "full":
-                moving = range(1 if i == 0 else 0, link.virtual_joints + 1)  # no motion shows the very first one's mass
+                moving = range(
+                    1 if i == 0 else 0, link.virtual_joints + 1
+                )  # the first one's mass shows in nothing but its weight
                 result += [_Coordinate(f"{link.name}.mass_{j}", "kg", i, "mass", j) for j in moving[:-1]]
                 result += [_Coordinate(f"{link.name}.mass_center_{j}", "m", i, "center", j) for j in moving]
                 # Behind an active joint, virtual link 0 only turns: its inertia is the hub's.

@@ -211,7 +211,7 @@ class Arm:
         return bool(self._dry_friction)
 
     def friction_torques(self, rates: Array) -> Array:
-        """Return the active joints' dry friction (..., n_a) [N m] at rates (..., n_a), at most where they rest."""
+        """Return the active joints' dry friction (..., n_a) [N m] at rates (..., n_a); the largest possible at zero."""
         torques = np.zeros(rates.shape)
         for joint, friction in self._dry_friction:
             torques[..., joint] += friction(rates[..., joint])
@@ -221,7 +221,7 @@ class Arm:
     def longest_step(self) -> float:
         """Time step that the effects allow [s]."""
         longest = min((effect.max_step(self.chain) for effect in self.effects), default=np.inf)
-        # Friction is that of a step in which nothing hits: half as long ones reduce the error of it to a tenth.
+        # Friction is computed as if nothing hit within the step; halving the step reduces that error to a tenth.
         return longest / 2 if self.contacts and self.has_dry_friction else longest
 
     @cached_property

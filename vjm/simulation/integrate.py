@@ -140,7 +140,7 @@ def default_step(chain: Chain, payload: Payload = NO_PAYLOAD) -> float:
     """
     slowest, _ = locked_joint_frequencies(chain, payload)
     joints = max(link.virtual_joints for link in chain.links)
-    # Derivatives are advanced over two steps at least: longer ones would do for the motion, and cost them digits.
+    # Derivatives are advanced over two steps at least: the motion alone would allow longer ones.
     steps_a_period = (
         min(60.0 + 16.0 * joints, 220.0) if len(chain.links) == 1 else 880.0 * max(joints / _FEW_JOINTS, 1.0)
     )
@@ -200,7 +200,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
     propagator = _LinearPropagator(system, step, None if contacts is None else contacts.touching)
     of_flanks = 0.0 if contacts is None else contacts.torque  # changed in place
     has_further_forces, internal = system.has_further_forces, z.size > 0
-    # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
+    # Neither a control law or effect nor the linear part at an elbow's angle is evaluated at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
 
     # The next stage's torques, the state at the step's start and the accelerations of the stages so far: of these, the

@@ -130,7 +130,7 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
 
 @dataclass(frozen=True, eq=False)
 class PrecedingMotions:
-    """Estimated motions of an arm in recordings, of which effects with a memory remember what is before a segment.
+    """Estimated motions before segments of recordings, from which effects with memory get their initial states.
 
     Attributes:
         chain: that moved.
@@ -204,8 +204,8 @@ class Observations:
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
         whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the sensors' weighted noise; None: it is white.
-        motion_errors: (N_m + N_t, k) what independent errors, each of one standard deviation, of the motion of joints
-            that turn as their encoders say make of the weighted values; None: nothing.
+        motion_errors: (N_m + N_t, k) changes of the weighted values by k independent errors, each of one standard
+            deviation, of the given motion of joints; None: there are none.
         discretization_offset: (N_m + N_t,) added to predictions [m, rad]; None: nothing.
         start: instant at which the recording began, where this is part of a longer one [s]; None: its first.
         preceding: motions of whole recordings; None: not known, effects remember nothing.

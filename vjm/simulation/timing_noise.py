@@ -82,9 +82,9 @@ class TimingNoise:
     def likelihood_ratio(self, residual: Array) -> tuple[float, float]:
         """Return a row as of `score`, whose best variance and decrease of chi^2 are those of the likelihood itself.
 
-        Rao's statistic, the square of the squares' excess, promises much more than large errors of time explain. The
-        unit is what the residuals are across the velocities: noise larger than it was given is no error of time. And
-        chi^2 falls by no more than the residuals along them, which of exact recordings are next to nothing.
+        Rao's statistic, the square of the squares' excess, predicts too large a decrease for large errors of time.
+        Residuals are scaled by their RMS across the velocities, so that noise larger than it was given is not taken for
+        errors of time. The decrease is at most the sum of squares along the velocities.
         """
         squares, given = self._errors(residual)
         projections = given / self._mean_square_across(residual)
