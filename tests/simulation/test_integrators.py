@@ -29,6 +29,7 @@ from tests.simulation.setups import (
     two_link_arm,
 )
 from vjm.chain.virtual_links import Chain
+from vjm.effects import StructuralDamping
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
@@ -304,3 +305,16 @@ def test_instants_between_steps_are_as_good_as_steps() -> None:
     exact = simulate(chain, rig_of(chain), recording_of(chain, irregular), start, 0 * start, "rk4", 2e-4)
     assert irregular.size * default_step(chain) > 0.4  # a step has few instants, most inside it
     np.testing.assert_allclose(found.markers, exact.markers, atol=1e-6)
+
+
+@pytest.mark.parametrize("dispersion", [0.0, 1.0])
+def test_a_lossy_link_needs_no_shorter_steps(dispersion: float) -> None:
+    """The step that its damping allows moves it by less than a thousandth of an encoder's step."""
+    chain, recording, *_ = driven(8, 4)
+    at_rest = [np.zeros(chain.size)]
+    arm = Arm.of(chain, (StructuralDamping(link=0, loss_factor=0.3, dispersion=dispersion),))
+    (found,) = simulate_trajectories([arm], [recording], at_rest, at_rest)
+    step = float(found.time[1])
+    assert step > 0.9 * default_step(chain)
+    (finer,) = simulate_trajectories([arm], [recording], at_rest, at_rest, step=step / 4)
+    assert np.abs(found.q - finer.q[::4][: len(found.q)]).max() < 1e-7

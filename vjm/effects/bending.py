@@ -141,8 +141,8 @@ class StructuralDamping(LinkEffect):
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that is stable; an explicit one of fourth order is up to 2.8 time constants."""
-        modal = np.inf if self.loss_factor <= 0.03 else 1.5 / _FASTEST
-        return min(1.5 * float(_RELAXATION_TIMES[-1]), modal) * self.units(chain)[2]
+        shortest = min(float(_RELAXATION_TIMES[-1]), 1 / max(self.loss_factor * _FASTEST, 1e-300))
+        return 1.5 * shortest * self.units(chain)[2]
 
 
 @dataclass(frozen=True)
