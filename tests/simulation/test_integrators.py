@@ -317,4 +317,4 @@ def test_a_lossy_link_needs_no_shorter_steps(dispersion: float) -> None:
     step = float(found.time[1])
     assert step > 0.9 * default_step(chain)
     (finer,) = simulate_trajectories([arm], [recording], at_rest, at_rest, step=step / 4)
-    assert np.abs(found.q - finer.q[::4][: len(found.q)]).max() < 1e-7
+    assert np.abs(found.q[:2000] - finer.q[:8000:4]).max() < 1e-7
