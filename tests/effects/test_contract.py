@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
 from vjm.effects import BUILTIN, Backlash, Effect, GearElasticity, TipPayload, magnitude
+from vjm.effects.effect import Parameter
 from vjm.errors import ShapeError
 from vjm.records import Payload, Rig
 
@@ -193,6 +194,29 @@ def test_a_user_s_own_magnitude_may_be_plain_and_its_unit_must_be_known() -> Non
     with pytest.raises(ShapeError, match="furlong"):
         _ = Own().variants(RIG, [])[0].parameters
     assert Own().parameters[0].typical_magnitude == 0.3
+
+
+@pytest.mark.parametrize(
+    ("unit", "powers"),
+    [
+        ("", (0, 0, 0)),
+        ("rad", (0, 0, 0)),
+        ("1/m^2", (-2, 0, 0)),
+        ("N m s^3/rad^3", (2, 1, 1)),
+        ("rad/(N m)", (-2, -1, 2)),
+        ("N s^2/m^3", (-2, 1, 0)),
+    ],
+)
+def test_units_are_products_of_powers(unit: str, powers: tuple[int, int, int]) -> None:
+    """At a rig whose units of length, mass and time are 2 m, 3 kg and 5 s."""
+    found = Parameter(unit, 1.0, 0.0, in_rig_units=True).on((2.0, 3.0, 5.0)).typical_magnitude
+    assert found == pytest.approx(2.0 ** powers[0] * 3.0 ** powers[1] * 5.0 ** powers[2])
+
+
+@pytest.mark.parametrize("unit", ["N m^-1", "N m/rad/s", "m^0.5", "N*m", "m^", "N m/", "(N m", "2 m", "per turn"])
+def test_a_unit_that_is_written_otherwise_is_refused(unit: str) -> None:
+    with pytest.raises(ShapeError, match="unit"):
+        _ = Parameter(unit, 1.0, 0.0, in_rig_units=True).on((2.0, 3.0, 5.0))
 
 
 @every

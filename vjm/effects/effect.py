@@ -28,6 +28,8 @@ SENSING_HOOKS = ("camera_instants", "marker_positions", "encoder_angles")
 _METADATA = "vjm"
 # Powers of length, mass and time in units.
 _UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "Hz": (0, 0, -1), "N": (1, 1, -2), "rad": (0, 0, 0)}
+_PRODUCT = r"[A-Za-z]+(?:\^?\d+)?(?: [A-Za-z]+(?:\^?\d+)?)*"
+_UNIT = re.compile(rf"(1|{_PRODUCT})?(?: ?/ ?({_PRODUCT}|\({_PRODUCT}\)))?")
 
 
 @dataclass(frozen=True)
@@ -109,14 +111,16 @@ class Parameter:
 
 
 def _powers(unit: str) -> Array:
-    """Return the (3,) powers of length, mass and time in a unit such as `N m s/rad`."""
-    powers = np.zeros(3)
-    for sign, part in zip((1, -1), unit.split("/"), strict=False):
-        for name, power in re.findall(r"([A-Za-z]+)\^?(\d*)", part):
-            if name not in _UNITS:
-                raise ShapeError("unit", unit, f"powers of {', '.join(_UNITS)}, or SI values")
-            powers += sign * int(power or 1) * np.array(_UNITS[name])
-    return powers
+    """Return the (3,) powers of length, mass and time in a unit such as `N m s/rad` or `rad/(N m)`."""
+    parts = _UNIT.fullmatch(unit)
+    factors = [
+        (sign * int(power or 1), name)
+        for sign, part in zip((1, -1), parts.groups("") if parts else ("", ""), strict=True)
+        for name, power in re.findall(r"([A-Za-z]+)\^?(\d*)", part)
+    ]
+    if not parts or any(name not in _UNITS for _, name in factors):
+        raise ShapeError("unit", unit, f"powers of {', '.join(_UNITS)} such as `m^2`, one slash at most, or SI values")
+    return sum((power * np.array(_UNITS[name]) for power, name in factors), start=np.zeros(3))
 
 
 def _units(length: float, mass: float, bending_stiffness: float) -> tuple[float, float, float]:
