@@ -7,6 +7,7 @@ samples, so that motion slower than the sampling cannot tell the two apart.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -30,7 +31,25 @@ from vjm.records import Array, Payload, Recording, Rig
 
 
 @dataclass(frozen=True)
-class ActuatorLag(ColumnEffect):
+class _Actuator(ColumnEffect, ABC):
+    """Makes another torque of the one recorded at an active joint."""
+
+    @abstractmethod
+    def true_torque(self, time: Array, torque: Array) -> Array:
+        """Return the torque (T,) [N m] that acts where one (T,) was recorded at instants (T,) [s]."""
+
+    def true_inputs(self, recording: Recording) -> Recording:
+        """Return the recording with the true torque, made of the samples at which all joints' torques are known."""
+        known = np.isfinite(recording.tau).all(axis=1)
+        if self.is_null or np.count_nonzero(known) < 2:
+            return recording
+        tau, column = recording.tau.copy(), self.own_column
+        tau[known, column] = self.true_torque(recording.time[known], tau[known, column])
+        return replace(recording, tau=tau)
+
+
+@dataclass(frozen=True)
+class ActuatorLag(_Actuator):
     """A true torque y that follows the recorded one u as a first-order lag: time_constant y' = u - y.
 
     Where a recording begins, y = u; that is off by time_constant u' in one that begins in motion, but dies out within
@@ -45,14 +64,9 @@ class ActuatorLag(ColumnEffect):
     reference = "M. W. Spong, S. Hutchinson and M. Vidyasagar, Robot Modeling and Control, Wiley, 2006, chapter 6"
     distinguishing_experiment = "a fast chirp, with encoder and torque on one clock"
 
-    def true_inputs(self, recording: Recording) -> Recording:
-        """Return the recording with the true torque."""
-        known = np.isfinite(recording.tau).all(axis=1)
-        if self.is_null or np.count_nonzero(known) < 2:
-            return recording
-        tau, column = recording.tau.copy(), self.own_column
-        tau[known, column] += _lag_change(recording.time[known], tau[known, column], self.time_constant)
-        return replace(recording, tau=tau)
+    def true_torque(self, time: Array, torque: Array) -> Array:
+        """Return the torque (T,) [N m] that follows one (T,) recorded at instants (T,) [s]."""
+        return torque + _lag_change(time, torque, self.time_constant)
 
 
 def _lag_change(time: Array, torque: Array, time_constant: float) -> Array:
@@ -107,7 +121,7 @@ def _phi(x: Array) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True)
-class TorqueSaturation(ColumnEffect):
+class TorqueSaturation(_Actuator):
     """A true torque that is the recorded one clipped at plus and minus the limit.
 
     A limit above all recorded torques changes nothing: a search varies how far one over the limit lies beyond one over
@@ -147,14 +161,9 @@ class TorqueSaturation(ColumnEffect):
             for variant in super().variants(rig, recordings)
         )
 
-    def true_inputs(self, recording: Recording) -> Recording:
-        """Return the recording with the true torque."""
-        known = np.isfinite(recording.tau).all(axis=1)
-        if self.is_null or np.count_nonzero(known) < 2:
-            return recording
-        tau, column = recording.tau.copy(), self.own_column
-        tau[known, column] = _clipped(recording.time[known], tau[known, column], self.limit)
-        return replace(recording, tau=tau)
+    def true_torque(self, time: Array, torque: Array) -> Array:
+        """Return the clipped torque (T,) [N m] of one (T,) recorded at instants (T,) [s]."""
+        return _clipped(time, torque, self.limit)
 
     def _peak_torque(self, recordings: Sequence[Recording]) -> float:
         """Return the largest torque recorded at the joint [N m]; zero without any."""
