@@ -184,7 +184,9 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
     resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
     at the nearest of a grid of its angles. As M turns with the elbow, what remains is as stiff as the springs are: the
     four stages of Cox and Matthews lose two orders there, and need steps eight times shorter. Internal states of
-    effects are advanced by the classical Runge-Kutta steps that this becomes where the linear part is zero.
+    effects are advanced by the explicit method of order four that the five stages become where the linear part is zero.
+    Its weights are 1/6, 0, 0, 1/6, 2/3, its stability polynomial is that of the classical Runge-Kutta method: steps of
+    up to 2.78 time constants are stable.
 
     Source: M. Hochbruck and A. Ostermann, Explicit exponential Runge-Kutta methods for semilinear parabolic problems,
     SIAM Journal on Numerical Analysis 43 (2005), eq. (5.19).
