@@ -11,7 +11,7 @@ import numpy as np
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import Effect, StateFunction, magnitude, shape_parameter
 from vjm.effects.contact import Contact
-from vjm.effects.effect import JointEffect
+from vjm.effects.effect import JointEffect, WaveEffect
 from vjm.records import Recording, Rig
 
 
@@ -316,6 +316,25 @@ class Constant(CubicFriction):
 
     def torque(self, rate: Array, angle: Array) -> Array:
         return -0.004 * rate**3
+
+
+@dataclass(frozen=True)
+class ConstantWave(WaveEffect, JointEffect):
+    """Has no use for its amplitude and its phase, which are two sizes."""
+
+    amplitude: float = magnitude("N m", 0.004, lower=0.0)
+    frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum="time")
+    phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
+
+    id = "constant_wave"
+    description = "a wave of one size"
+    assumptions = "none"
+    reference = "A. Author, A Book, 2001"
+
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
+        """At the joint only."""
+        joint, pulsation = self.active_joint(chain), 0.0 if self.is_null else 2 * np.pi * self.frequency
+        return self.force_on(joint, lambda time, q, v, z: 0.004 * np.sin(pulsation * time))
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,7 @@ BROKEN = [
     (broken.TakesDampingAwayBehindAJoint(), "energy", "at a random state its forces give the arm"),
     (broken.HiddenMotor(), "energy", "at a random state its forces give the arm"),
     (broken.Constant(), "recovery", "nothing that is measured depends on `coefficient`"),
+    (broken.ConstantWave(), "recovery", "nothing that is measured depends on `amplitude`; expected"),
     (broken.Folded(), "recovery", "with coefficient 0.004 .* finds coefficient 0.001"),
     (broken.Stiffer(), "recovery", "can stand in for all but"),
 ]

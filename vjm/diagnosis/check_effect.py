@@ -438,8 +438,8 @@ def _recovery(effect: Effect, seed: int) -> _Checks:
     assert extended  # for type checkers: this is not reached otherwise
     R = extended.point.reduced()[0].R[:, :-1]
     lengths, magnitudes = np.maximum(np.linalg.norm(R, axis=0), 1e-300), range(free, free + true.magnitude_count)
-    names = [f"`{name}`" for name in true.values]
-    unobservable = [names[(k - free) % len(names)] for k in magnitudes if lengths[k] <= 1e-12 * lengths.max()]
+    names, without = _magnitude_names(true), lengths[free:][: true.magnitude_count] <= 1e-12 * lengths.max()
+    unobservable = dict.fromkeys(f"`{name}`" for name, unseen in zip(names, without, strict=True) if unseen)
     yield not unobservable, f"nothing that is measured depends on {', '.join(unobservable)}", "something that does"
     shares = np.array([_unexplained(R / lengths, k) for k in magnitudes])
     errors = 1 / np.maximum(shares * lengths[magnitudes], 1e-300)
@@ -459,6 +459,15 @@ def _recovery(effect: Effect, seed: int) -> _Checks:
     finding = f"a fit of recordings that were simulated with {_values(true)} finds {_values(fitted)}"
     expected = f"no more than {allowed[worst]:.2g} typical magnitudes between them ({deviations[worst]:.2g} found)"
     yield (deviations <= allowed).all(), finding, expected
+
+
+def _magnitude_names(effect: Effect) -> list[str]:
+    """Return the parameter of each coordinate that is a magnitude; all of them where they make other coordinates.
+
+    A wave has two of its only one, the amplitude.
+    """
+    names = [parameter.name for parameter in effect.parameters if not parameter.shape_parameter]
+    return names if len(names) == effect.magnitude_count else [" and ".join(names)] * effect.magnitude_count
 
 
 def _values(effect: Effect) -> str:
