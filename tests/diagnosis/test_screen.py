@@ -13,9 +13,11 @@ from scipy import stats
 from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
+from vjm.diagnosis.alternatives import _substitute_sizes
 from vjm.diagnosis.screen import CandidateSet, Directions, FamilyTest, Screen
 from vjm.diagnosis.search_starts import _explained, _fourier_transform, temporal_peaks
 from vjm.effects import (
+    BaseCompliance,
     CameraRotation,
     CameraScale,
     ClampCompliance,
@@ -227,6 +229,19 @@ def test_coordinates_at_a_bound_explain_nothing() -> None:
     free = Directions(effect, parts, rows, np.zeros(3, dtype=bool), unprojected).screen()
     assert held.products == pytest.approx(without.products)
     assert (np.diag(held.products) > np.diag(free.products)).all()
+
+
+def test_a_table_has_two_sizes_along_and_across_its_start() -> None:
+    """A candidate whose direction is that of both sizes together replaces it."""
+    table = BaseCompliance(stiffness=500.0, mass=1.0, direction=0.7, start=0.2).placed(RIG, None)
+    sizes = table.coordinates[[0, 3]]
+    assert (np.abs(sizes) > 0.01).all()
+    rows = np.random.default_rng(1).standard_normal((30, 6))
+    rows[:, 4] = rows[:, [0, 3]] @ sizes
+    directions = Directions((JointSpring(),), (slice(0, 1),), rows, np.zeros(4, dtype=bool), np.ones(1))
+    seen = directions.screen(present=(table, slice(0, 4)))
+    assert seen.parts == (slice(0, 2), slice(2, 3))
+    assert _substitute_sizes(seen, table, 0.0)[1] == pytest.approx(1.0)
 
 
 def test_reference_recordings_say_nothing_of_an_effect() -> None:

@@ -20,6 +20,8 @@ from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import BaseCompliance, ExternalTone, GearElasticity, LinearDrag
 from vjm.effects.loads import Rods
+from vjm.identification.parameters import Parametrisation
+from vjm.identification.trajectory_fit import TrajectoryProblem
 from vjm.model.dynamics import Mechanism, torque_errors
 from vjm.model.modes import linearise, modes
 from vjm.records import NO_PAYLOAD, Payload, Rig
@@ -225,6 +227,15 @@ def test_a_search_keeps_the_frequency_and_takes_any_direction() -> None:
     assert np.ptp(around) < 1e-3  # standard errors are differences
     again = present.with_softer_joint(4.0)
     assert (again.stiffness, again.mass) == (present.stiffness, 4 * present.mass)
+
+
+def test_a_step_of_a_search_is_limited_in_shape_and_not_in_size() -> None:
+    parametrisation = Parametrisation(rigs.chain_of(2), "uniform", rigs.RIG.active_links)
+    problem = TrajectoryProblem(parametrisation, (), effects=(TABLE.placed(rigs.RIG, None), LinearDrag(link=0)))
+    table, drag = problem.parts
+    assert problem.max_step[table].tolist() == [np.inf, 1.0, 1.0, np.inf]
+    assert np.isinf(problem.max_step[: table.start]).all()
+    assert np.isinf(problem.max_step[drag]).all()
 
 
 def test_compliances_along_several_directions_add_up() -> None:

@@ -113,7 +113,7 @@ def _is_similar(screen: Screen, cause: Effect, candidate: Effect) -> bool:
 
 def _substitute_sizes(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
     """Return sizes (s,) of effects, one variant each, that by the linear model nearly replace a cause."""
-    size = cause.coordinates[: cause.magnitude_count]
+    size = cause.coordinates[[*cause.size_coordinates]]
     change = screened.R[:, screened.parts[0]] @ size  # change of the residuals by the cause
     power = float(change @ change)
     remaining_chi2, guesses = np.full(len(screened.effects), np.inf), dict[int, Array]()

@@ -242,7 +242,7 @@ class Directions:
         unprojected, retained = self.unprojected[sizes], list[int]()
         if present is not None:
             effect, part = present
-            retained = [*range(part.start, part.start + effect.magnitude_count)]
+            retained = [part.start + size for size in effect.size_coordinates]
             effects, counts = [effect, *effects], [len(retained), *counts]
             unprojected = np.r_[np.zeros(len(retained)), unprojected]
         eliminated = [k for k in np.flatnonzero(~self.held).tolist() if k not in retained]

@@ -99,7 +99,8 @@ class TrajectoryProblem(Record):
         steps = np.full(self.bounds[0].size, np.inf)
         for effect, part in zip(self.effects, self.parts, strict=True):
             # A factor e of a shape parameter whose coordinate is a logarithm, a typical value of a linear one.
-            steps[part.start + effect.magnitude_count : part.stop] = 1.0
+            shapes = np.setdiff1d(np.arange(part.stop - part.start), effect.size_coordinates)
+            steps[part.start + shapes] = 1.0
         return steps
 
     @property
