@@ -127,7 +127,8 @@ def simulate_runs(
     if physics.hysteresis_ratio:
         yields = physics.hysteresis_yield_angle / beam.length
         bend = state[:, extended.parts.coordinates] @ extended.curvature.T
-        state[:, extended.parts.slip] = np.clip(bend, -yields, yields)
+        # Bent from straight to there without a reversal.
+        state[:, extended.parts.slip] = np.sign(bend) * yields * (1.0 - np.exp(-np.abs(bend) / yields))
     drive = _drive(time, runs, holds)
     state[:, extended.parts.torque] = drive.start[0, :, None]
     states = Stepper(extended).run(time, drive, state, physics.step if step is None else step)

@@ -340,16 +340,19 @@ class Hysteresis(LinkEffect):
     description = "hysteresis: part of the bending stiffness yields beyond an angle"
     clause = "hysteresis in '{link}': a fraction {ratio} of its bending stiffness yields beyond {yield_angle}"
     assumptions = (
-        "slip spread evenly along the link; Bouc and Wen's loop with exponent 1; no slip before a recording begins"
+        "slip spread evenly along the link; Bouc and Wen's loop with exponent 1; no reversal before a recording begins"
     )
     reference = "Y.-K. Wen, Method for random vibration of hysteretic systems, J. Eng. Mechanics ASCE 102(2), 1976"
     distinguishing_experiment = "recordings at two amplitudes, and a slow motion"
     abscissa = "amplitude"
 
     def initial_states(self, chain: Chain, q: Array) -> Array:
-        """Return the virtual joints' angles, as far as they do not slip."""
-        yields = self.yields(chain)
-        return yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
+        """Return z = y (1 - exp(-|phi| / y)) sign(phi): the joints were bent from zero to their angles phi, never back.
+
+        This virgin loading curve is the solution of the equation of `state_rates` from phi = z = 0 on.
+        """
+        yields, phi = self.yields(chain), q[..., self.virtual_joints(chain)]
+        return np.copysign(yields * np.expm1(-np.abs(phi) / yields), phi)
 
     def force(self, chain: Chain, payload: Payload) -> StateFunction | None:
         """Return the moments beside the springs' own -K phi."""
