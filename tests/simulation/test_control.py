@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from tests.simulation.setups import arm_of, recording_of, rig_of, steel_link
-from vjm.effects import ActuatorLag, TorqueGain, TorqueSaturation
+from vjm.effects import ActuatorLag, Cogging, TorqueGain, TorqueSaturation
 from vjm.effects.effect import Effect
 from vjm.errors import ShapeError, SimulationDivergedError
 from vjm.model.dynamics import Mechanism
@@ -101,6 +101,20 @@ def test_the_law_acts_through_the_actuator(effect: Effect) -> None:
 def test_what_remembers_earlier_torques_is_refused_beside_a_law() -> None:
     with pytest.raises(ShapeError, match="actuator_lag"):
         model_of(ActuatorLag(time_constant=0.02, link=0)).simulate(torque=controller, duration=0.4)
+
+
+def test_steps_are_halved_beside_an_effect_that_shortens_them() -> None:
+    """Instants a whole period apart do not show a wave, and effects may allow no longer steps than that."""
+    model = model_of(Cogging(amplitude=1e-9, count=400.0, link=0))
+    pulsation = 2 * np.pi / model.arm.longest_step
+
+    def wave(time: float, theta: Array, rate: Array) -> Array:
+        return 30.0 * np.sin(pulsation * time) * np.ones(1)
+
+    motion = model.simulate(torque=wave, duration=0.1)
+    expected = by_scipy(model_of(), wave, motion.time)
+    assert np.abs(expected).max() > 50 * NOISE
+    np.testing.assert_allclose(motion.q, expected, atol=0.2 * NOISE)
 
 
 def test_an_unstable_law_is_named() -> None:

@@ -20,7 +20,7 @@ from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, sensor_readings
 
 ControlLaw: TypeAlias = Callable[[float, Array, Array], ArrayLike]
-_HALVINGS = 8  # of the step; a law that needs steps 256 times shorter than the arm's vibration jumps, or is unstable
+_HALVINGS = 7  # of the step; a law that needs steps 128 times shorter than the arm's motion jumps, or is unstable
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def simulate_motion(
         return simulated(arm, None)
     _check_memory(arm.effects, count)
     arm = Arm(chain, (*arm.effects, _Feedback(torque, arm.effects)))
-    previous = None
-    for _ in range(_HALVINGS):
+    previous, step = None, min(step, arm.longest_step)  # beyond which half a step would be no shorter
+    for _ in range(1 + _HALVINGS):
         try:
             motion = simulated(arm, step)
         except SimulationDivergedError:  # the law may be stiff
