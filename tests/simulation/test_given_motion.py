@@ -12,7 +12,7 @@ import vjm
 from tests.diagnosis.rigs import RIG, chain_of, recorded
 from tests.experiment.experiment_files import DRIVEN, TOML, csv_text, rows, write_experiment
 from tests.simulation.integrators import simulate
-from tests.simulation.setups import jerky_torque, recording_of, rig_of, two_link_arm
+from tests.simulation.setups import arm_of, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.residual_tests import residual_test
 from vjm.effects import BUILTIN, CoulombFriction, JointSpring, TorqueGain, ViscousFriction
@@ -21,6 +21,7 @@ from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.given_motion import acceleration_errors, given_acceleration
 from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import simulate_runs
 
@@ -52,6 +53,22 @@ def test_each_joint_of_an_arm_turns_as_given_relative_to_the_link_before_it() ->
     assert np.nanmax(np.abs(recording.theta - recording.theta[0])) > 0.1
     assert angles < 2e-5
     assert markers < 1e-4
+
+
+@pytest.mark.parametrize(("hub_inertia", "payload"), [(0.02, 0.0), (50.0, 0.0), (0.02, 100.0)])
+def test_a_joint_turns_as_given_however_much_turns_with_it(hub_inertia: float, payload: float) -> None:
+    """Its angle is the integral of the accelerations, which are linear between the instants."""
+    chain = arm_of(steel_link(3, "revolute", hub_inertia=hub_inertia))
+    time, rest = np.linspace(0.0, 2.0, 1001), np.zeros(chain.size)
+    a = 0.2 * np.sin(7 * time)
+    recording = recording_of(chain, time, payload=payload)
+    recording = replace(recording, input="motion", acceleration=a[:, None])
+    arm = Arm(chain).in_recording(recording)
+    (run,) = simulate_trajectories([arm], [recording], [rest], [rest])
+    h = time[1]
+    v = np.append(0.0, np.cumsum(h / 2 * (a[:-1] + a[1:])))
+    angle = np.append(0.0, np.cumsum(h * v[:-1] + h**2 / 6 * (2 * a[:-1] + a[1:])))
+    assert np.abs(run.angles(time)[:, 0] - angle).max() < 2e-6 * np.abs(angle).max()
 
 
 @pytest.mark.parametrize(

@@ -47,14 +47,18 @@ class Arm:
 
     def in_recording(self, recording: Recording) -> Arm:
         """Return the arm as a recording's input moves it: with drives that nothing stops if their motion is given."""
-        return self._prescribed if recording.input == "motion" else self
+        if recording.input != "motion":
+            return self
+        payload = recording.payload_body
+        if payload not in self._prescribed:
+            armature = _HEAVY * _largest_inertia(self.chain, payload)
+            self._prescribed[payload] = Arm(replace(self.chain, armature=armature), self.effects)
+        return self._prescribed[payload]
 
     @cached_property
-    def _prescribed(self) -> Arm:
-        """The arm with drives so heavy that it turns as they are accelerated, whatever reacts on them."""
-        inertia = sum(float(link.masses.sum()) + link.payload for link in self.chain.links)
-        inertia *= sum(link.length for link in self.chain.links) ** 2
-        return Arm(replace(self.chain, armature=_HEAVY * inertia), self.effects)
+    def _prescribed(self) -> dict[Payload, Arm]:
+        """The arm with drives so heavy that it turns as they are accelerated, by what is known to be on its tip."""
+        return {}
 
     def inputs(self, recording: Recording) -> Recording:
         """Return the recording with the inputs that really drove the arm.
@@ -283,6 +287,16 @@ class Arm:
         """Return the results of a hook, with the internal states of their effects; None is left out."""
         results = [(hook(effect), part) for effect, part in zip(self.effects, self._state_slices, strict=True)]
         return [(result, part) for result, part in results if result is not None]
+
+
+def _largest_inertia(chain: Chain, payload: Payload) -> float:
+    """Return a bound of the inertia that a joint of a chain with a payload moves [kg m^2]: all masses at full reach."""
+    reach = sum(link.length for link in chain.links)
+    inertia = payload.inertia + payload.mass * (reach + abs(payload.offset)) ** 2
+    for link in chain.links:
+        inertia += link.hub_inertia + link.root_inertia + float(link.inertias.sum()) + link.payload_inertia
+        inertia += float(link.masses.sum()) * reach**2 + link.payload * (reach + abs(link.payload_offset)) ** 2
+    return inertia
 
 
 def _between(values: Array, interval: Indices, share: Array) -> Array:
