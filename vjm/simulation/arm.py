@@ -72,6 +72,13 @@ class Arm:
         return replace(recording, tau=self.chain.armature * recording.acceleration, input="torque")
 
     @cached_property
+    def gravity(self) -> tuple[float, float]:
+        """Gravity in the plane [m/s^2] where the known one is the chain's: effects may add to that."""
+        idle = np.zeros((1, self.chain.active.size))
+        still = Recording(np.zeros(1), np.zeros((1, 0, 2)), idle, idle, kind="quiet", gravity=self.chain.gravity)
+        return self.inputs(still).gravity
+
+    @cached_property
     def state_counts(self) -> tuple[int, ...]:
         """Number of each effect's internal states."""
         q = np.zeros(self.chain.size)
@@ -182,11 +189,7 @@ class Arm:
         Raises:
             ChoiceError, ShapeError: as of `vjm.model.urdf.simulator_file`.
         """
-        quiet = Recording(np.zeros(1), np.zeros((1, 0, 2)), kind="quiet", gravity=self.chain.gravity)
-        for effect in self.effects:
-            if effect.in_simulators:
-                quiet = effect.true_inputs(quiet)
-        chain = replace(self.chain, gravity=quiet.gravity)
+        chain = replace(self.chain, gravity=self.gravity)
         return simulator_file(chain, simulator, urdf, self._friction, markers, self.not_in_simulators)
 
     @property

@@ -188,21 +188,26 @@ class Model(Record):
     def modes(self, payload: float = 0.0) -> Modes:
         """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip.
 
+        They are of the chain as effects change it, at rest under the rig's gravity and what effects add to that. Forces
+        of effects are not in them: drag, structural damping, creep, hysteresis and dry friction add nothing to the
+        damping ratios, and those that stiffen or soften nothing to the frequencies.
+
         Raises:
+            InsufficientDataError: no position of rest was found.
             ShapeError: no mass.
         """
         require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
-        return modes(self.arm.chain, Payload(payload))
+        return modes(self.arm.chain, Payload(payload), self.arm.gravity)
 
     def pinocchio(self) -> PinocchioModel:
-        """Return the chain as a `pin.Model`, with its stiffness and damping beside it."""
+        """Return the chain as a `pin.Model` under the gravity that acts, with its stiffness and damping beside it."""
         chain = self.arm.chain
-        return PinocchioModel(Mechanism(chain).model, chain.stiffness, chain.damping)
+        return PinocchioModel(Mechanism(chain, gravity=self.arm.gravity).model, chain.stiffness, chain.damping)
 
     def flexible_model(self) -> FlexibleModel:
         """Return the chain for static equilibria, linearisation and control; its virtual joints are passive."""
         chain = self.arm.chain
-        mechanism = Mechanism(chain)
+        mechanism = Mechanism(chain, gravity=self.arm.gravity)
         cells = {
             f"{link.name}_virtual_{j}": float(cell) for link in chain.links for j, cell in enumerate(link.cells, 1)
         }
