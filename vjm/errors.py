@@ -180,7 +180,7 @@ class EffectError(InputError):
 
 
 class SimulationDivergedError(VjmError):
-    """A simulation left the finite numbers.
+    """A simulation left the finite numbers, or cannot begin.
 
     Attributes:
         time: last finite instant [s].
@@ -188,9 +188,11 @@ class SimulationDivergedError(VjmError):
         remedy: what to change.
     """
 
-    def __init__(self, time: float, step: float, remedy: str) -> None:
+    def __init__(self, time: float, step: float, remedy: str, problem: str = "") -> None:
+        """Say what went wrong, a problem in words or the divergence itself, and the remedy."""
         self.time, self.step, self.remedy = time, step, remedy
-        super().__init__(f"the simulation diverged after t = {time:.6g} s with steps of {step:.3g} s; {remedy}")
+        diverged = f"the simulation diverged after t = {time:.6g} s with steps of {step:.3g} s"
+        super().__init__(f"{problem or diverged}; {remedy}")
 
 
 class MissingPackageError(VjmError):

@@ -127,8 +127,9 @@ def simulate_motion(
         if motion and previous and np.abs(motion.markers - previous.markers).max(initial=0.0) < 0.1 * noise:
             return motion
         previous, step = motion, step / 2
-    remedy = "the control law is unstable, jumps, or does not depend on its arguments alone"
-    raise SimulationDivergedError(0.0, 2 * step, remedy)
+    problem = f"the motion under the control law depends on the step, down to one of {2 * step:.3g} s"
+    remedy = "the law is unstable, jumps, or does not depend on its arguments alone"
+    raise SimulationDivergedError(0.0, 2 * step, remedy, problem)
 
 
 def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) -> tuple[Array, Array]:

@@ -375,8 +375,8 @@ class _LinearPropagator:
         try:
             inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
         except np.linalg.LinAlgError as error:
-            remedy = "a joint moves nothing: give its hub or its links mass"
-            raise SimulationDivergedError(0.0, step, remedy) from error
+            problem, remedy = "a joint moves nothing that has inertia", "give its hub or its links mass"
+            raise SimulationDivergedError(0.0, step, remedy, problem) from error
         springs = np.zeros((len(inertia), n, 2 * n))
         springs[:, range(n), range(n)], springs[:, range(n), range(n, 2 * n)] = -stiffness, -damping
         L = np.zeros((len(inertia), 2 * n, 2 * n))

@@ -79,8 +79,8 @@ class InitialStatePrior:
             rates[block] = K / slowest
             root[n:, n:] = np.linalg.cholesky(rates).T
         except np.linalg.LinAlgError:
-            remedy = "a joint moves nothing that has inertia: give the hub some"
-            raise SimulationDivergedError(float(recording.time[0]), 0.0, remedy) from None
+            problem, remedy = "a joint moves nothing that has inertia", "give its hub some"
+            raise SimulationDivergedError(float(recording.time[0]), 0.0, remedy, problem) from None
         return cls(np.concatenate([q, np.zeros(n)]), root, scale)
 
 
