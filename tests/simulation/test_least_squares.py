@@ -68,6 +68,28 @@ class Scripted(ValleySearch):
         return Change(1.0, self.length(damping), np.zeros(2))
 
 
+@pytest.mark.parametrize("zeros", [(), (0,), (1, 2), (4,), (0, 3, 4), (0, 1, 2, 3, 4)])
+@pytest.mark.parametrize("count", [3, 30])
+def test_unknowns_that_nothing_depends_on_take_nothing_of_the_residual(count: int, zeros: tuple[int, ...]) -> None:
+    random = np.random.default_rng(1)
+    jacobian, residual = random.normal(size=(count, 5)), random.normal(size=count)
+    jacobian[:, zeros] = 0.0
+
+    def least(chosen: Array, residual: Array) -> float:
+        return float(np.sum((residual - chosen @ np.linalg.lstsq(chosen, residual)[0]) ** 2))
+
+    whole = SquareRootInformation.of([(jacobian[:2], residual[:2]), (jacobian[2:], residual[2:])], 5)
+    first = SquareRootInformation.of([(jacobian[:2], residual[:2])], 5)
+    for problem in (whole, first.with_rows(jacobian[2:], residual[2:])):
+        assert problem.least == pytest.approx(least(jacobian, residual), abs=1e-12)
+        assert not np.tril(problem.R, -1).any()
+        others = random.normal(size=3)
+        left = residual - jacobian[:, 2:] @ others
+        reduced = problem.eliminated(2)
+        remaining = reduced.R[:, :-1] @ others - reduced.R[:, -1]
+        assert remaining @ remaining == pytest.approx(least(jacobian[:, :2], left), abs=1e-12)
+
+
 @pytest.mark.parametrize("start", [(-1.2, 1.0), (3.0, -4.0)])
 def test_the_bottom_of_a_bent_valley_is_found(start: tuple[float, float]) -> None:
     search = ValleySearch(Valley(np.array(start)))

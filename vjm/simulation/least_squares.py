@@ -32,12 +32,21 @@ class SquareRootInformation:
 
     @classmethod
     def of(cls, parts: Iterable[tuple[Array, Array]], columns: int) -> SquareRootInformation:
-        """Return the factor of a problem whose rows are given as pairs of J (m, C) and r (m,)."""
+        """Return the factor of a problem whose rows are given as pairs of J (m, C) and r (m,).
+
+        The rows of unknowns whose columns of J are zero are zero, too. QR alone would leave there what further columns
+        and r have in some direction, and `eliminated` and `least` would lose it.
+        """
         R: Array = np.zeros((0, columns + 1))
         for jacobian, residual in parts:
             R = np.asarray(np.linalg.qr(np.vstack([R, np.column_stack([jacobian, residual])]), mode="r"))
-        missing = columns + 1 - len(R)
-        return cls(np.vstack([R, np.zeros((missing, columns + 1))]) if missing > 0 else R)
+        used = np.append(R[:, :-1].any(axis=0), True)
+        if used.all() and len(R) == len(used):
+            return cls(R)
+        R = np.asarray(np.linalg.qr(R[:, used], mode="r"))
+        factor, rows = np.zeros((columns + 1, columns + 1)), np.flatnonzero(used)[: len(R)]
+        factor[np.ix_(rows, used)] = R
+        return cls(factor)
 
     @property
     def columns(self) -> int:
