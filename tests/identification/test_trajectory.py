@@ -17,6 +17,7 @@ from tests.diagnosis.rigs import first_seconds
 from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
 from tests.identification.test_recovery import SHARED, chain_recordings, demo
 from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
+from vjm.errors import SimulationDivergedError
 from vjm.identification import Identification, identify
 from vjm.identification.identify import _marker_deflections, _modal_assurance
 from vjm.identification.parameters import Parametrisation
@@ -531,3 +532,16 @@ def test_steps_are_as_long_as_no_estimate_minds(noise: float) -> None:
     error = sum(float(np.sum((a.residual - b.residual) ** 2)) for a, b in zip(exact, found, strict=True))
     assert (step_multiple > 1.0) == (noise > 1e-5)
     assert step_multiple == 1.0 or error < 0.02
+
+
+def test_steps_so_long_that_the_simulation_diverges_are_not_taken() -> None:
+    rig = vjm.Rig("spun", [vjm.Link("beam", "clamped", 1.0, 0.4, 2.0, (0.25, 0.5, 0.75, 1.0))])
+    model = vjm.Model.nominal(rig, 4, 2e-3)
+    at_rest = model.simulate(torque=np.zeros((21, 0)), duration=2.0)
+    recording = Recording(at_rest.time, at_rest.markers, at_rest.theta, kind="decay")
+    observed = [Observations.of(rig, recording, (NOISE, ENCODER_NOISE))]
+    states = [np.r_[np.zeros(4), 90.0, -90.0, 90.0, -90.0]]
+    simulate_runs([model.arm], observed, None, states, 1.0)
+    with pytest.raises(SimulationDivergedError):
+        simulate_runs([model.arm], observed, None, states, 2.0)
+    assert _largest_step_multiple([model.arm], observed, states, 1.0) == 1.0

@@ -24,6 +24,9 @@ from vjm.simulation.run import InitialStatePrior, Run, is_followed, simulate_run
 from vjm.simulation.system import Trajectory, measured_torque
 from vjm.text import listed, number
 
+# Raised at starting values with which the arm cannot be simulated, or has no position of rest because it buckles.
+_UNUSABLE_START = (SimulationDivergedError, InsufficientDataError)
+
 
 @dataclass(frozen=True)
 class TrajectoryMethod:
@@ -153,13 +156,13 @@ class TrajectoryMethod:
                 starts.append(self.torque.with_frequencies().x)
             starts.append(self.torque.x)
         starts.append(nominal)
-        horizon = _first_horizon(problem, starts)
-        if self._starts_with_long_steps:
-            problem = replace(problem, step_multiple=_first_step_multiple(problem.until(horizon), nominal))
         stiffness = np.array([coordinate.group == "stiffness" for coordinate in problem.parametrisation.coordinates])
         # Nominal values are taken to be within a factor of four. Nine stiffnesses in that range are factors of 1.41
         # apart, so that one of them is within 19 % of any, and its frequencies within 9 %.
         alternatives = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
+        horizon = _first_horizon(problem, [*starts, *alternatives])
+        if self._starts_with_long_steps:
+            problem = replace(problem, step_multiple=_first_step_multiple(problem.until(horizon), nominal))
         fit = _fit_first_periods(problem.until(horizon), starts, alternatives, self.progress)
         start, stop, rough = fit.point, _StallRule(self.rough), self.rough or self._starts_with_long_steps
         return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=rough, stop=stop)
@@ -249,7 +252,7 @@ def _fit_first_periods(
         for x in candidates:
             if best is not None and best.point.misfit < DIVERGED_MISFIT:
                 break
-            with contextlib.suppress(SimulationDivergedError):
+            with contextlib.suppress(*_UNUSABLE_START):
                 trial = fit_trajectory(problem, x, progress, rough=True, stop=_StallRule())
                 best = trial if best is None or trial.point.misfit < best.point.misfit else best
         return best
@@ -258,7 +261,7 @@ def _fit_first_periods(
         """Return the candidates that can be simulated, in the order of their residuals."""
         points = []
         for x in candidates:
-            with contextlib.suppress(SimulationDivergedError):
+            with contextlib.suppress(*_UNUSABLE_START):
                 points.append(problem.point(x))
         return [point.x for point in sorted(points, key=lambda point: point.misfit) if np.isfinite(point.misfit)]
 
@@ -270,27 +273,31 @@ def _fit_first_periods(
     if fit is None or fit.point.misfit > DIVERGED_MISFIT:
         fit = better(fit, starts[1:])
     # An incomplete model may leave 30 % of the motion as a residual; a fit to another cycle leaves about all of it.
-    if fit is None or fit.point.misfit > max(DIVERGED_MISFIT, 0.3 * _rms_motion(problem, starts[-1])):
+    if fit is None or fit.point.misfit > max(DIVERGED_MISFIT, 0.3 * _rms_motion(fit.point)):
         fit = better(fit, others)
     # Where no start can be simulated, this raises the error that says why.
     return fit or fit_trajectory(problem, starts[-1], progress)
 
 
-def _first_horizon(problem: TrajectoryProblem, starts: Sequence[Array]) -> float:
-    """Return the first horizon [s] at the first start (p,) whose arm has a position of rest: a soft one may buckle."""
-    for x in starts[:-1]:
+def _first_horizon(problem: TrajectoryProblem, candidates: Sequence[Array]) -> float:
+    """Return the first horizon [s] at the first candidate (p,) whose arm has a position of rest.
+
+    Raises:
+        InsufficientDataError: none of them has one.
+    """
+    for x in candidates[:-1]:
         with contextlib.suppress(InsufficientDataError):
             return problem.first_horizon(x)
-    return problem.first_horizon(starts[-1])
+    return problem.first_horizon(candidates[-1])
 
 
-def _rms_motion(problem: TrajectoryProblem, x: Array) -> float:
-    """Return the RMS deviation of the measured values from the arm at rest, in units of the noise."""
+def _rms_motion(point: Point) -> float:
+    """Return the RMS deviation of the measured values from the point's arm at rest, in units of the noise."""
     squares = 0.0
-    for observed, arm in zip(problem.observed, problem.arms(x), strict=True):
-        rest = InitialStatePrior.of(arm, observed.recording).rest[: arm.chain.size]
-        squares += float(np.sum(observed.residual(arm, Trajectory.at_rest(observed.recording.time, rest)) ** 2))
-    return float(np.sqrt(squares / max(sum(observed.count for observed in problem.observed), 1)))
+    for run in point.runs:
+        at_rest = Trajectory.at_rest(run.observed.recording.time, run.prior.rest[: run.chain.size])
+        squares += float(np.sum(run.observed.residual(run.arm, at_rest) ** 2))
+    return float(np.sqrt(squares / max(point.count, 1)))
 
 
 class _StallRule:
@@ -362,13 +369,16 @@ def _joint_note(smaller: TrajectoryFit, larger: TrajectoryFit) -> str:
 
 
 def _first_step_multiple(problem: TrajectoryProblem, x: Array) -> float:
-    """Return the multiple of the integrator's default step for searches from x (p,), with initial states at rest."""
+    """Return the multiple of the integrator's default step for searches from x (p,), with initial states at rest.
+
+    It is one, the most accurate, where the arm cannot be simulated from there.
+    """
     arms = problem.arms(x)
-    states = [
-        InitialStatePrior.of(arm, observations.recording).rest
-        for arm, observations in zip(arms, problem.observed, strict=True)
-    ]
-    with contextlib.suppress(SimulationDivergedError):
+    with contextlib.suppress(*_UNUSABLE_START):
+        states = [
+            InitialStatePrior.of(arm, observations.recording).rest
+            for arm, observations in zip(arms, problem.observed, strict=True)
+        ]
         return search_step_multiple(problem.simulated(x, states, states, [1.0] * len(states)), 1.0)
     return 1.0
 
@@ -423,7 +433,10 @@ def _largest_step_multiple(
     """Return the largest multiple of the integrator's default step that moves no estimate by 0.1 standard errors."""
     exact = simulate_runs(arms, observed, None, states, 1.0)
     for multiple in (4.0, 2.0):
-        runs = simulate_runs(arms, observed, None, states, multiple)
+        try:
+            runs = simulate_runs(arms, observed, None, states, multiple)
+        except SimulationDivergedError:
+            continue
         error = sum(
             float(np.sum((run.residual - exact_run.residual) ** 2)) for run, exact_run in zip(runs, exact, strict=True)
         )
