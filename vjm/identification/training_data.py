@@ -100,21 +100,28 @@ class JointChoice:
     """A number n of virtual joints and its discretisation error."""
 
     joints: int
-    error: float  # largest relative one of the visible modes' frequencies, against a chain of 40 joints
+    error: float  # largest relative one of the visible modes' frequencies, against a `fourth-order` chain of 40 joints
     requested: bool = False  # True if a user asked for this n
 
     @classmethod
-    def of(cls, link: Link, visible: int, joints: int | None = None, requested: bool = False) -> Self:
+    def of(
+        cls,
+        link: Link,
+        visible: int,
+        joints: int | None = None,
+        requested: bool = False,
+        layout_name: str = DEFAULT_LAYOUT,
+    ) -> Self:
         """Choose the smallest n whose chain has the frequencies of the `visible` slowest modes right to 0.1 %.
 
         The link has its nominal values, is the only one and its active joint is free. Of given `joints` only the error
-        is found.
+        is found. Where no chain of that layout is so accurate, n is the largest one tried.
         """
 
-        def frequencies(n: int) -> Array:
-            return modes(Chain(link.name, (uniform_chain(link, layout(link.length, n)),))).frequencies[:visible]
+        def frequencies(n: int, name: str = layout_name) -> Array:
+            return modes(Chain(link.name, (uniform_chain(link, layout(link.length, n, name)),))).frequencies[:visible]
 
-        exact = frequencies(2 * _MOST_JOINTS)
+        exact = frequencies(2 * _MOST_JOINTS, DEFAULT_LAYOUT)
         choice = cls(joints or _MOST_JOINTS, np.inf, requested)
         for n in range(visible + 1, _MOST_JOINTS + 1) if joints is None else [joints]:
             approximate = frequencies(n)
@@ -171,7 +178,7 @@ class TrainingData:
             )
         orders = _choose_orders(rig, rig_layouts(rig, [3] * len(rig.links), layout), recordings, family)
         joints = tuple(
-            _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
+            _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints, layout)
             for link, order in zip(rig.links, orders, strict=True)
         )
         if angles is None:
@@ -276,14 +283,14 @@ def _choose_orders(rig: Rig, cuts: Sequence[Cuts], recordings: Sequence[Recordin
     return tuple(orders)
 
 
-def _choose_joints(link: Link, order: int, parameters: str, requested: int | None) -> JointChoice:
+def _choose_joints(link: Link, order: int, parameters: str, requested: int | None, layout_name: str) -> JointChoice:
     """Return the number of joints asked for, or right for the modes seen, or that the markers can tell apart.
 
     Fixed lengths need two joints more than there are modes to carry those modes well; free lengths need none.
     """
     distinct = min(order + 2 if parameters == "joints" else order, len(link.markers))
     joints = requested or (None if parameters == "uniform" else distinct)
-    return JointChoice.of(link, order, joints, requested is not None)
+    return JointChoice.of(link, order, joints, requested is not None, layout_name)
 
 
 def _prepare(

@@ -131,7 +131,7 @@ class TrajectoryMethod:
         """Return a fit's numbers of joints with their discretisation errors."""
         data = self.data
         return tuple(
-            JointChoice.of(link, order, link_chain.virtual_joints, planned.requested)
+            JointChoice.of(link, order, link_chain.virtual_joints, planned.requested, data.layout)
             for link, order, link_chain, planned in zip(
                 data.rig.links, data.shape.orders, fit.point.chain.links, data.joints, strict=True
             )
