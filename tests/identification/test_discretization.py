@@ -13,6 +13,7 @@ import pytest
 import vjm
 from tests.hidden.rigs import write_hidden
 from tests.hidden.settings import Rig, setting_of
+from vjm.chain.layout import LayoutName, nominal_chain, rig_layouts
 from vjm.identification.discretization import DiscretizationBias, first_order_bias
 from vjm.identification.records import Identification
 from vjm.records import Experiment
@@ -70,6 +71,23 @@ def test_one_step_finds_the_shift_that_several_do() -> None:
     corrected = bias.corrected(fit.trajectory, np.inf)
     assert corrected is not None
     assert first_order.decrease == pytest.approx(fit.trajectory.chi2 - corrected.chi2, rel=0.3)
+
+
+@cache
+def fine_swing() -> Experiment:
+    """A swing, free of noise, of 40 joints: a beam's, whose bending stiffness is 2 N m^2."""
+    rig = vjm.Rig("fine", [vjm.Link("beam", "clamped", 1.0, 0.44, 2.0, (0.25, 0.5, 0.75, 1.0))], marker_noise=3e-4)
+    chain = nominal_chain(rig, rig_layouts(rig, [40]), 2e-3)
+    bent = np.stack([0.005 * (1 - np.arange(40) / 40), np.zeros(40)])
+    motion = replace(vjm.Model.nominal(rig), chain=chain).simulate(torque=np.zeros((76, 0)), duration=1.5, initial=bent)
+    return Experiment(rig, (vjm.Recording(motion.time, motion.markers, motion.theta, kind="decay"),))
+
+
+@pytest.mark.parametrize(("layout", "n"), [("end-corrected", 4), ("end-corrected", 8), ("half-ends", 8)])
+def test_the_shift_leads_from_any_layout_to_the_beam(layout: LayoutName, n: int) -> None:
+    stiffness = vjm.identify(fine_swing(), virtual_joints=n, layout=layout, baselines=False).parameters[0]
+    # What the chain of 40 joints and that with three times n lack of a beam: 1e-5 of the stiffness.
+    assert stiffness.discretization_shift == pytest.approx(2.0 - stiffness.value, rel=0.02, abs=2e-5)
 
 
 @pytest.mark.parametrize(("size", "kept"), [(0.0, True), (30.0, False)])
