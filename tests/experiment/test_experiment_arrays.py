@@ -373,5 +373,9 @@ def test_what_is_no_experiment_is_refused() -> None:
     other = vjm.Model.nominal(vjm.Rig("two", [hub(name="upper"), link(name="fore")]))
     with pytest.raises(ShapeError, match="links"):
         vjm.compare(experiment, other)
+    hinged = vjm.Model.nominal(vjm.Rig("hinged", [hub(name=experiment.rig.links[0].name)]))
+    expected = r"model: got links beam \(revolute\); expected the experiment's links beam \(clamped\)"
+    with pytest.raises(ShapeError, match=expected):
+        vjm.compare(experiment, hinged)
     with pytest.raises(RecordingError, match="empty"):
         read(frame().iloc[:0])

@@ -47,7 +47,7 @@ def compare(
 
     Raises:
         ExperimentError: no experiment.
-        ShapeError: no model, no covariance, or a model whose links have other names than the rig's, or other lengths.
+        ShapeError: no model, no covariance, or a model whose links have other names, joints or lengths than the rig's.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
     """
     require_experiment(experiment)
@@ -55,9 +55,12 @@ def compare(
     known = np.empty((0, 0)) if covariance is None else number_array("covariance", covariance)
     require("covariance", known, known.ndim == 2 and len(set(known.shape)) == 1, "(p, p) numbers, or None")
     require_progress(progress)
-    names, rig_names = ([link.name for link in links] for links in (model.chain.links, experiment.rig.links))
-    if names != rig_names:
-        raise ShapeError("model", f"links {names}", f"the experiment's links {rig_names}")
+    given, expected = (
+        ", ".join(f"{link.name} ({link.joint})" for link in links)
+        for links in (model.chain.links, experiment.rig.links)
+    )
+    if given != expected:
+        raise ShapeError("model", f"links {given}", f"the experiment's links {expected}")
     for link, rig_link in zip(model.chain.links, experiment.rig.links, strict=True):
         if abs(link.length - rig_link.length) > 1e-3 * rig_link.length:  # more than rounding in either file
             raise ShapeError(
