@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 import pytest
 
 from tests.chain.test_layout_accuracy import errors
 from tests.identification.test_recovery import demo
 from vjm.chain.layout import LAYOUTS
+from vjm.errors import InsufficientDataError
+from vjm.identification import training_data
 from vjm.identification.identify import identify
+from vjm.identification.torque_method import fit_torque
 from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice
 from vjm.records import Experiment, Link
 
@@ -35,3 +40,15 @@ def test_an_identification_states_the_error_of_the_layout_it_has(method: str) ->
     stated = 100 * JointChoice.of(LINK, fit.shape.orders[0], 3, layout_name="equal").error
     assert stated > 20
     assert f"accurate to {stated:.0f} %" in fit.notes[0]
+
+
+def test_what_the_torque_method_lacks_is_said_with_its_whole_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> NoReturn:
+        raise InsufficientDataError("angles", "too few frames", "record more; light the markers")
+
+    monkeypatch.setattr(training_data, "_prepare", refuse)
+    data = training_data.TrainingData.of(demo())
+    with pytest.raises(InsufficientDataError, match="the torque method: angles: too few frames") as caught:
+        fit_torque(data)
+    assert caught.value.remedy == "record more; light the markers"
+    assert str(data.problems[0]) == "angles: too few frames; record more; light the markers"

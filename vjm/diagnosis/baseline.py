@@ -69,12 +69,12 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE_MISFIT).fit_from(joints, fit)
     prepared = tuple(_prepared(run, sensor_noise, noise, delay) for run in moved if run is not None)
     fit = corrected_for_discretization(fit, experiment.rig) or fit
-    return Baseline(fit, noise, prepared, (*search.data.problems, *unused, *diverge))
+    return Baseline(fit, noise, prepared, (*map(str, (*search.data.problems, *unused)), *diverge))
 
 
 def _further_recordings(
     experiment: Experiment, search: TrajectoryMethod
-) -> tuple[list[Observations], list[Observations], tuple[str, ...]]:
+) -> tuple[list[Observations], list[Observations], tuple[InsufficientDataError, ...]]:
     """Return training recordings not yet fitted: those at rest and those that may have changed; and why not others."""
     train = [recording for recording in experiment.cleaned_recordings if recording.role == "train"]
     fitted = {observed.recording.file for observed in search.observed}

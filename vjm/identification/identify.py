@@ -170,7 +170,7 @@ def _result(
         warnings=(
             *experiment.warnings,
             *data_warnings(data),
-            *data.problems,
+            *map(str, data.problems),
             *fit_warnings(recordings, parameters, whiteness, compared_modes if method == "torque" else ()),
         ),
         notes=identification_notes(data, notes),

@@ -174,7 +174,8 @@ def fit_torque(
         InsufficientDataError: no recording has what the method needs; or no measured frequency is the model's.
     """
     if not data.prepared:
-        raise InsufficientDataError("the torque method", *data.problems[0].rsplit("; ", 1))  # with its remedy
+        first = data.problems[0]
+        raise InsufficientDataError("the torque method", f"{first.what}: {first.reason}", first.remedy)
     start = starting_chain(data.rig, data.cuts)
     hubs = data.driven_hubs([prepared.recording for prepared in data.prepared])
     fit = _TorqueProblem(data, Parametrisation(start, "uniform", hubs)).fit(progress)

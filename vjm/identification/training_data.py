@@ -145,7 +145,7 @@ class TrainingData:
     noise: tuple[float, float]  # 1-sigma of a marker coordinate [m] and of an encoder [rad]
     recordings: tuple[Recording, ...]  # without coordinates that cannot be right
     prepared: tuple[PreparedRecording, ...] = ()  # those that the torque method can use
-    problems: tuple[str, ...] = ()  # why it cannot use the others, a sentence each
+    problems: tuple[InsufficientDataError, ...] = ()  # why it cannot use the others
     payload: Payload = NO_PAYLOAD  # the commonest one of prepared recordings
 
     @classmethod
@@ -196,7 +196,7 @@ class TrainingData:
             try:
                 prepared.append(_prepare(self, self.cuts, recording))
             except InsufficientDataError as error:
-                problems.append(str(error))
+                problems.append(error.with_traceback(None))  # which would keep all that was computed until then
         recordings = [p.recording for p in prepared] or self.recordings
         payloads = [recording.payload_body for recording in recordings]
         payload = max(sorted(set(payloads)), key=payloads.count)

@@ -224,7 +224,7 @@ def first_fit(
     return search, fit
 
 
-def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[InsufficientDataError, ...]]:
     """Return the recordings whose torques or joint motion were measured, and why others cannot be simulated."""
     usable, problems = [], []
     for recording in recordings:
@@ -233,7 +233,7 @@ def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple
                 measured_torque(recording)
             usable.append(recording)
         except InsufficientDataError as error:
-            problems.append(str(error))
+            problems.append(error.with_traceback(None))
     return usable, tuple(problems)
 
 
