@@ -86,6 +86,7 @@ def test_bending_torsion_and_damping_of_a_finer_tube_are_found(rate: float, nois
     assert fit.marker_noise == pytest.approx(noise, rel=0.05)
     assert fit.condition < 100
     assert fit["tube.bending_stiffness_y"].unit == "N m^2"
+    assert fit["tube.bending_damping_y"].unit == "N m^2 s"
     # The motors' torques are explained but for the noise of markers and sensors, and joints alike for gravity.
     assert fit.residual_torque[:, :2].std(axis=0).max() < 0.05 * np.ptp(motion(rate=rate).torque, axis=0).max()
     K = fit.model.stiffness[fit.model.indices(["tube_virtual_1_y"])]
@@ -231,6 +232,7 @@ def test_joints_that_are_not_tied_have_values_of_their_own() -> None:
     assert len(fit.parameters) == 18
     first = fit["tube_virtual_1_y.stiffness"]
     assert first.unit == "N m/rad"
+    assert fit["tube_virtual_1_y.damping"].unit == "N m s/rad"
     assert first.value * fit.model.cells["tube_virtual_1_y"] == pytest.approx(45.0, rel=0.02)
 
 

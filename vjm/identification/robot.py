@@ -356,7 +356,7 @@ class _Problem:
         if p % 2 == 0 and angle < blur:
             moved = f"its angles are {1e3 * angle:.2g} mrad RMS, their noise {1e3 * blur:.2g} mrad"
             return f"the motion does not excite the {group.motion}: {moved}", _EXCITE
-        name, unit = (group.stiffness, group.unit) if p % 2 == 0 else (group.damping, f"{group.unit} s")
+        name, unit = (group.stiffness, group.unit) if p % 2 == 0 else (group.damping, group.damping_unit)
         return f"{name} is {value:.2g} ± {std:.2g} {unit}, not certainly above zero", _EXCITE
 
     def angle(self, group: SpringGroup) -> float:
@@ -392,7 +392,7 @@ class _Problem:
         estimates = []
         for p, value in enumerate(values.tolist()):
             group = self.groups[p // 2]
-            name, unit = (group.damping, f"{group.unit} s") if p % 2 else (group.stiffness, group.unit)
+            name, unit = (group.damping, group.damping_unit) if p % 2 else (group.stiffness, group.unit)
             reason, remedy = silent.get(p, ("", ""))
             estimates.append(
                 Estimate(name, value, stds.get(p), unit, p not in silent, reason, remedy, nonnegative=True)

@@ -35,6 +35,7 @@ class SpringGroup:
     stiffness: str  # names of the parameters
     damping: str
     unit: str  # of the stiffness
+    damping_unit: str
     motion: str  # in words
     joints: Indices  # coordinates
     cells: Array  # [m]; one where the value is the joint's own
@@ -131,12 +132,11 @@ def spring_groups(model: FlexibleModel, tied: bool) -> tuple[SpringGroup, ...]:
             stiffness, damping = (f"{link.name}.{kind}_{quantity}{end}" for quantity in ("stiffness", "damping"))
             motion = f"torsion of {link.name}" if axis == "torsion" else f"bending of {link.name} about {axis}"
             cells = np.array([model.cells[name] for name in names])
-            groups.append(SpringGroup(stiffness, damping, "N m^2", motion, k, cells))
+            groups.append(SpringGroup(stiffness, damping, "N m^2", "N m^2 s", motion, k, cells))
     for name, k in free.items():
         angle = np.array([k])
-        groups.append(
-            SpringGroup(f"{name}.stiffness", f"{name}.damping", "N m/rad", f"turning of {name}", angle, np.ones(1))
-        )
+        parameters, units = (f"{name}.stiffness", f"{name}.damping"), ("N m/rad", "N m s/rad")
+        groups.append(SpringGroup(*parameters, *units, f"turning of {name}", angle, np.ones(1)))
     return tuple(groups)
 
 
