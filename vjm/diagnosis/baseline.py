@@ -15,7 +15,7 @@ from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
 from vjm.diagnosis.discretization import corrected_for_discretization
 from vjm.diagnosis.noise import Noise
 from vjm.effects import BUILTIN
-from vjm.errors import SimulationDivergedError
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
