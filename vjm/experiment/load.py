@@ -95,10 +95,12 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
     document = parse_document(file, _read_toml(file))
     rig, conventions, files = described(file, document)
     all_columns: dict[str, None] = {}  # header names of all files, in order
-    recordings = [
-        _read_recording(sources, table, rig, conventions, all_columns)
-        for sources, table in zip(files, document["recording"], strict=True)
-    ]
+    recordings: list[Recording] = []
+    for index, (sources, table) in enumerate(zip(files, document["recording"], strict=True)):
+        try:
+            recordings.append(_read_recording(sources, table, rig, conventions, all_columns))
+        except ExperimentError as error:  # a key of the table that contradicts another
+            raise error.at(file, _table_name(document, "recording", index)) from error
     for standard, header in conventions.columns.items():
         if header not in all_columns:
             problem = f"no recording has a column {shown(header)}{suggestion(header, all_columns)}"
