@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from time import monotonic
 
 import numpy as np
 
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import DiscretizationBias, first_order_bias, with_offset
+from vjm.identification.discretization import DiscretizationBias, FirstOrderBias, first_order_bias, with_offset
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.records import Rig
 
 CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
+
+
+@lru_cache(maxsize=4)
+def bias_of(fit: TrajectoryFit, rig: Rig) -> FirstOrderBias | None:
+    """Return a model's discretization error to first order, as of `first_order_bias`; the last ones are remembered."""
+    return first_order_bias(fit.point, rig)
 
 
 def corrected_for_discretization(
@@ -44,7 +51,7 @@ def _corrected_to_first_order(fit: TrajectoryFit, rig: Rig, negligible: float, d
     If that would lower chi^2 by no more than `negligible`, only the parameters are corrected, as a fit takes several
     times as long. None where the corrected model leaves more than noise and more than the chain.
     """
-    bias = None if monotonic() > deadline else first_order_bias(fit.point, rig)
+    bias = None if monotonic() > deadline else bias_of(fit, rig)
     if bias is None:
         return None
     if bias.decrease <= negligible:

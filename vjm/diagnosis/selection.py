@@ -32,7 +32,7 @@ from vjm.diagnosis.candidate_fit import (
     starting_effect,
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
-from vjm.diagnosis.discretization import CLOSE_MISFIT, corrected_again, corrected_for_discretization
+from vjm.diagnosis.discretization import CLOSE_MISFIT, bias_of, corrected_again, corrected_for_discretization
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.diagnosis.segments import (
     draw_segments,
@@ -47,7 +47,6 @@ from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import first_order_bias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Rig
 from vjm.simulation.run import all_followed
@@ -475,7 +474,7 @@ class Search:
         told = fit.shift is not None or is_nonsmooth(fit.effects) or fit.misfit > CLOSE_MISFIT
         if told or self.out_of_time:
             return False
-        bias = first_order_bias(fit.point, self.rig)
+        bias = bias_of(fit, self.rig)
         return bias is not None and fit.chi2 - bias.decrease < fit.point.noise_limit
 
     def _matters(self, reduced: TrajectoryFit, full: TrajectoryFit) -> bool:
@@ -548,7 +547,7 @@ class Search:
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if longer.chi2 > max_chi2:  # without what its chain's discretization error adds, which grows with the duration
-            bias = None if self.out_of_time else first_order_bias(longer.point, self.rig)
+            bias = None if self.out_of_time else bias_of(longer, self.rig)
             if bias is None or longer.chi2 - bias.decrease > max_chi2:
                 return None
         return None if longer.misfit > INCOMPLETE_MISFIT * max(1.0, fit.misfit) else longer
