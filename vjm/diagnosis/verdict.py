@@ -129,8 +129,9 @@ def _block_length(series: Array) -> int:
 def is_unexplained(findings: Diagnosis) -> bool:
     """Return True if the best model leaves more than noise, or clearly more than was missing before the change."""
     if findings.reference_misfit > 1:
-        # Misfits add in squares: at twice the old one, the new one is 1.7 times as large by itself.
-        return findings.changed_misfit > 2 * findings.reference_misfit
+        # Misfits add in squares: at twice the old one, the new one is 1.7 times as large by itself. The old one is that
+        # without the effect that was there before, which was fitted to those recordings, and suits others less.
+        return findings.changed_misfit > 2 * findings.baseline_misfit
     matters = findings.residuals.excess > findings.negligible
     return bool(findings.needed) or (findings.residuals.p_value < NOT_NOISE and matters)
 
