@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
-from vjm.effects import BUILTIN, Backlash, Effect, GearElasticity, TipPayload, magnitude
+from vjm.effects import BUILTIN, Backlash, Effect, GearElasticity, StructuralDamping, TipPayload, magnitude
 from vjm.effects.effect import Parameter
 from vjm.errors import ShapeError
 from vjm.records import Payload, Rig
@@ -291,3 +291,15 @@ def test_ids_parameters_units_and_nulls_are_the_published_ones() -> None:
         # What the table takes for granted, such as the motor's share of an inertia, may be a shape parameter.
         assert all(own[name][1] == "" for name in own.keys() - listed.keys()), effect.id
         assert effect.id in proposed or effect.sensor == (table == "Sensors"), effect.id
+
+
+def test_an_effect_in_outline_is_not_varied_where_it_may_be_zero() -> None:
+    payload = TipPayload(mass=0.01, radius_of_gyration=0.05, offset=-0.02).in_outline()
+    assert payload.fixed == ("radius_of_gyration", "offset")
+    assert payload.coordinates.size == 1
+    moved = payload.at(2 * payload.coordinates)
+    assert (moved.mass, moved.radius_of_gyration, moved.offset) == (pytest.approx(0.02), 0.0, 0.0)
+    assert moved.fixed == payload.fixed
+    assert moved.key == TipPayload().key
+    # A spread of losses starts from one, not from none: it stays.
+    assert StructuralDamping().in_outline().fixed == ()

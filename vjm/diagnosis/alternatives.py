@@ -214,7 +214,7 @@ def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
         slope = np.array([(point[name] - values[name]) / step for point, step in zip(moved, steps, strict=True)])
         with np.errstate(invalid="ignore"):  # the recordings may not determine a cause among several
             variance = float(slope @ covariance @ slope)
-        known = np.isfinite(variance) and not parameter.integer
+        known = np.isfinite(variance) and not parameter.integer and name not in effect.fixed
         std = float(np.sqrt(max(variance, 0.0))) if known else None
         nonnegative = parameter.lower >= 0
         parameters[name] = Estimate(name, float(values[name]), std, parameter.unit, nonnegative=nonnegative)

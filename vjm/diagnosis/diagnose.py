@@ -98,10 +98,11 @@ def diagnose(
         reference, reference_misfit = add_changed_recordings(baseline, fit)
         # Where something is missing in the reference recordings already, an effect of the change must explain as much
         # of the others as it leaves: what was missing before may be that much larger in another motion. The same holds
-        # for each further parameter, by which an effect may stand in for what was missing.
+        # for each further parameter, by which an effect may stand in for what was missing: a payload's centre would.
         options = SearchOptions(max_effects=max_effects, seed=seed, deadline=deadline)
         if reference_misfit > 1:
             options = replace(options, least_share=1.0, parameter_share=1.0)
+            chosen = tuple(effect.in_outline() for effect in chosen)
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
         stopped = search.stopped

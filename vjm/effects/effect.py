@@ -159,6 +159,8 @@ class Effect:
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
     # True in an arm whose derivatives are taken: dry friction then changes its sign gradually, not at once.
     smooth: bool = field(default=False, kw_only=True, repr=False)
+    # Names of shape parameters that no search varies.
+    fixed: tuple[str, ...] = field(default=(), kw_only=True, compare=False, repr=False)
 
     id: ClassVar[str] = ""  # the class's name in snake case where it is not given
     title: ClassVar[str] = ""  # its name in tables and sentences; the words of its id where it is not given
@@ -272,7 +274,7 @@ class Effect:
 
     @property
     def _varied(self) -> tuple[Parameter, ...]:
-        varied = [parameter for parameter in self.parameters if not parameter.integer]
+        varied = [p for p in self.parameters if not p.integer and p.name not in self.fixed]
         return tuple(sorted(varied, key=lambda parameter: parameter.shape_parameter))
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
@@ -303,6 +305,12 @@ class Effect:
         coordinates = self.coordinates
         present = self.at(np.where(np.arange(coordinates.size) < self.magnitude_count, 1.0, 0.0))
         return present.chain(chain).size != chain.size
+
+    def in_outline(self) -> Self:
+        """Return it with shape parameters fixed that start from zero, such as a payload's radius of gyration."""
+        fixed = tuple(p.name for p in self.parameters if p.shape_parameter and p.power and not any(p.grid))
+        changes: dict[str, Any] = {"fixed": fixed, **dict.fromkeys(fixed, 0.0)}
+        return replace(self, **changes)
 
     def with_softer_joint(self, factor: float) -> Self:
         """Return it with the compliance of a joint of its own times a factor, and shape parameters at coordinate zero.
