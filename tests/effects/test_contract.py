@@ -293,8 +293,8 @@ def test_ids_parameters_units_and_nulls_are_the_published_ones() -> None:
         assert effect.id in proposed or effect.sensor == (table == "Sensors"), effect.id
 
 
-def test_an_effect_in_outline_is_not_varied_where_it_may_be_zero() -> None:
-    payload = TipPayload(mass=0.01, radius_of_gyration=0.05, offset=-0.02).in_outline()
+def test_a_nested_effect_has_no_shape_parameters_that_start_from_zero() -> None:
+    payload = TipPayload(mass=0.01, radius_of_gyration=0.05, offset=-0.02).nested()
     assert payload.fixed == ("radius_of_gyration", "offset")
     assert payload.coordinates.size == 1
     moved = payload.at(2 * payload.coordinates)
@@ -302,4 +302,4 @@ def test_an_effect_in_outline_is_not_varied_where_it_may_be_zero() -> None:
     assert moved.fixed == payload.fixed
     assert moved.key == TipPayload().key
     # A spread of losses starts from one, not from none: it stays.
-    assert StructuralDamping().in_outline().fixed == ()
+    assert StructuralDamping().nested().fixed == ()

@@ -102,7 +102,7 @@ def diagnose(
         options = SearchOptions(max_effects=max_effects, seed=seed, deadline=deadline)
         if reference_misfit > 1:
             options = replace(options, least_share=1.0, parameter_share=1.0)
-            chosen = tuple(effect.in_outline() for effect in chosen)
+            chosen = tuple(effect.nested() for effect in chosen)
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
         stopped = search.stopped
@@ -230,7 +230,10 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     count = 4  # more modes are hardly ever seen by a camera
     simulated = [comparison.reference for comparison in recordings if comparison.reference is not None]
     payloads = {run.recording.payload_body for run in simulated}
-    frequencies = {payload: modes(reference.chain, payload).frequencies[:count].tolist() for payload in payloads}
+    frequencies = {
+        payload: modes(reference.chain, payload, reference.arm.gravity).frequencies[:count].tolist()
+        for payload in payloads
+    }
     return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 
 

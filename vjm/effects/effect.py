@@ -306,8 +306,8 @@ class Effect:
         present = self.at(np.where(np.arange(coordinates.size) < self.magnitude_count, 1.0, 0.0))
         return present.chain(chain).size != chain.size
 
-    def in_outline(self) -> Self:
-        """Return it with shape parameters fixed that start from zero, such as a payload's radius of gyration."""
+    def nested(self) -> Self:
+        """Return the nested effect: shape parameters that start from zero, as a payload's offset, are fixed there."""
         fixed = tuple(p.name for p in self.parameters if p.shape_parameter and p.power and not any(p.grid))
         changes: dict[str, Any] = {"fixed": fixed, **dict.fromkeys(fixed, 0.0)}
         return replace(self, **changes)
