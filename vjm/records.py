@@ -75,12 +75,12 @@ class Record:
 
     def __repr__(self) -> str:
         values = ((field, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
-        told = (
+        parts = (
             f"{field.name}={_shown(value)}"
             for field, value in values
             if not (isinstance(value, str | float | int | None) and value == field.default)
         )
-        return f"{type(self).__name__}({', '.join(told)})"
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _shown(value: object) -> str:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import refit
-from vjm.diagnosis.next_experiment import propose_recordings
+from vjm.diagnosis.next_experiment import _scaled, propose_recordings
 from vjm.effects import CameraRotation, ClampCompliance, CubicStiffness, Effect, EncoderOffset, StiffnessDrift
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Recording
@@ -74,3 +74,16 @@ def test_where_an_alternative_diverges_a_recording_is_compared_with_itself_or_no
     assert all(one.difference == 0 for one in propose_recordings(best, [first]))  # the larger drive is missing
     expected = [one.difference for one in propose_recordings(best, [other])]
     assert [one.difference for one in propose_recordings(best, [second])] == pytest.approx(expected, rel=0.5)
+
+
+def test_given_motion_is_scaled_with_the_torque() -> None:
+    """A joint that turns as given has no other input than its accelerations."""
+    (drive, _) = drives(CUBIC, 1)
+    turning = replace(drive, input="motion", acceleration=np.ones(drive.theta.shape))
+    state, active = np.arange(1.0, 9.0), chain_of().active
+    for recording in (drive, turning):
+        scaled, start = _scaled(2.0, recording, state, active)
+        assert start == pytest.approx(np.where(np.isin(np.arange(8), active), state, 2 * state))
+        assert np.array_equal(scaled.tau, 2 * recording.tau, equal_nan=True)
+    assert scaled.acceleration is not None
+    assert (scaled.acceleration == 2.0).all()

@@ -471,8 +471,8 @@ class Search:
         """
         if fit is None or fit.chi2 < fit.point.noise_limit:
             return fit is not None
-        told = fit.shift is not None or is_nonsmooth(fit.effects) or fit.misfit > CLOSE_MISFIT
-        if told or self.out_of_time:
+        known = fit.shift is not None
+        if known or is_nonsmooth(fit.effects) or fit.misfit > CLOSE_MISFIT or self.out_of_time:
             return False
         bias = bias_of(fit, self.rig)
         return bias is not None and fit.chi2 - bias.decrease < fit.point.noise_limit

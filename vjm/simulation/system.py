@@ -151,7 +151,7 @@ class System:
 
     @classmethod
     def of(cls, arms: Sequence[Arm], payloads: Sequence[Payload], gravity: tuple[float, float]) -> System:
-        """Return the system of several arms with as many coordinates each, and payloads [kg] on their tips."""
+        """Return the system of several arms with as many coordinates each, and bodies on their tips."""
         chains = [arm.chain for arm in arms]
         return cls(
             _mechanisms(chains, payloads, gravity),
