@@ -49,6 +49,7 @@ def recording_of(rig: Rig, count: int = 12, measured: bool = True) -> Recording:
         role="train",
         file="drive.csv",
         gravity=(0.3, -0.1),
+        payload=0.02,
     )
 
 

@@ -28,6 +28,7 @@ from vjm.effects import (
     InPlaneGravity,
     JointSpring,
     LinearDrag,
+    PayloadBody,
     QuadraticDrag,
     RestCurvature,
     StateFunction,
@@ -268,6 +269,32 @@ def test_a_mass_on_the_tip_joins_the_one_that_is_there() -> None:
     assert beyond.payload_inertia == pytest.approx(0.01 * (0.05**2 + 0.09**2) + 0.03 * (0.1**2 + 0.03**2))
 
 
+def test_a_known_payload_that_is_no_point_is_the_body_that_it_is() -> None:
+    rig = Rig("arm", (POST, replace(LINK, payload=0.02, payload_inertia=3e-5)))
+    (effect,) = PayloadBody().variants(rig, [])
+    effect = replace(effect, offset=-0.03, radius_of_gyration=0.05)
+    recording = replace(recording_of(rig), payload=0.1, payload_offset=0.01)
+    shown = effect.true_inputs(recording)
+    assert shown.payload_body == pytest.approx((0.1, -0.02, 0.1 * 0.05**2))
+    assert shown.markers is recording.markers
+    bare = replace(recording, payload=0.0, payload_offset=0.0)
+    assert effect.true_inputs(bare) is bare
+    chain, other = chain_of(*rig.links), TipPayload(mass=0.01, radius_of_gyration=0.1, offset=0.04, link=1)
+    body = Payload(0.02, -0.03, 3e-5 + 0.02 * 0.05**2)
+    assert effect.chain(chain).links[1].payload_body == pytest.approx(body)
+    both = body.with_another(Payload(0.01, 0.04, 0.01 * 0.1**2))
+    for last, first in ((effect, other), (other, effect)):  # whichever a search found first
+        assert last.chain(first.chain(chain)).links[1].payload_body == pytest.approx(both)
+
+
+def test_an_arm_carries_its_payload_as_effects_say() -> None:
+    arm = Arm.of(HUB, (PayloadBody(offset=0.02, radius_of_gyration=0.03), InPlaneGravity(gx=0.5)))
+    payload, gravity = arm.loads(Payload(0.1))
+    assert payload == pytest.approx((0.1, 0.02, 0.1 * 0.03**2))
+    assert gravity == pytest.approx((HUB.gravity[0] + 0.5, HUB.gravity[1]))
+    assert arm.loads()[0] == Payload()
+
+
 def test_a_body_on_the_tip_makes_the_frequencies_of_the_characteristic_equation() -> None:
     beam, extended = beam_chain(32, distal="joined"), Beam(1.0, 1.0, 1.0)  # an end that carries a moment
     for mass, radius in ((0.02, 0.0), (0.02, 0.2), (0.3, 0.05), (0.3, 0.25)):
@@ -275,7 +302,7 @@ def test_a_body_on_the_tip_makes_the_frequencies_of_the_characteristic_equation(
         chain = TipPayload(mass, radius).chain(beam)
         assert modes(chain).frequencies[:3] == pytest.approx(exact, rel=2e-4)
         physics = Physics(tip_payload_mass=mass, tip_payload_radius_of_gyration=radius)
-        pulsations = Extended(extended, physics, np.zeros(1)).modes()[0][:3]
+        pulsations = Extended(extended, physics).modes()[0][:3]
         assert pulsations / (2 * np.pi) == pytest.approx(exact, rel=1e-6)
 
 
@@ -288,7 +315,7 @@ def test_a_body_beyond_the_tip_makes_the_frequencies_of_two_other_simulators() -
         rods = Arm((Link("beam", 1.0, 1.0, 1.0, joint="clamped", **body),), segments=60).natural_frequencies(3)
         chain = TipPayload(mass, radius, offset).chain(beam_chain(32, distal="joined"))
         physics = Physics(tip_payload_mass=mass, tip_payload_radius_of_gyration=radius, tip_payload_offset=offset)
-        fine = Extended(Beam(1.0, 1.0, 1.0), physics, np.zeros(1)).modes()[0][:3] / (2 * np.pi)
+        fine = Extended(Beam(1.0, 1.0, 1.0), physics).modes()[0][:3] / (2 * np.pi)
         assert modes(chain).frequencies[:3] == pytest.approx(fine, rel=1e-3)
         assert rods == pytest.approx(fine, rel=1e-3)
         centred = TipPayload(mass, radius).chain(beam_chain(32, distal="joined"))

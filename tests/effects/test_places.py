@@ -40,7 +40,7 @@ LINKS = {
     "stiffness_asymmetry",
     "marker_offset",
 }
-TIP = {"tip_payload", "external_tone"}
+TIP = {"tip_payload", "payload_body", "external_tone"}
 
 
 def test_each_is_sought_where_it_can_act() -> None:

@@ -4,7 +4,7 @@ It imports nothing of vjm and is not a chain of rigid links: the heading of the 
 of arc length.
 """
 
-from tests.fine_beam.beam import Beam, Numerics, State, Trajectory, simulate
+from tests.fine_beam.beam import Beam, Body, Numerics, State, Trajectory, simulate
 from tests.fine_beam.hidden import Physics
 from tests.fine_beam.motion import Motion, Run, simulate_runs
 from tests.fine_beam.sensor_faults import Faults, shown_angle, shown_markers
@@ -14,6 +14,7 @@ from tests.fine_beam.write import LinkRecord, RecordingEntry, write_arm_recordin
 
 __all__ = [
     "Beam",
+    "Body",
     "Camera",
     "Encoder",
     "Faults",

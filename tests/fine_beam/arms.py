@@ -41,16 +41,16 @@ def energy(motion: Motion) -> Array:
     heading, rate = motion.coordinates @ motion.beam.heading.T, motion.rates @ motion.beam.heading.T
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     basis, beam = motion.beam.basis, motion.beam.beam
-    reach = basis.weights.copy()
-    reach[-1] += motion.beam.physics.tip_payload_offset
-    velocity = np.vstack([basis.cumulative, basis.weights, reach]) @ (rate[..., None] * normal)
+    bodies = motion.beam.bodies[motion.beam.group[0]]
+    reaches = [basis.weights + body.offset * np.eye(len(basis.nodes))[-1] for body in bodies]
+    velocity = np.vstack([basis.cumulative, *reaches]) @ (rate[..., None] * normal)
     moved = 0.0
     if motion.beam.physics.has_table:
         velocity += motion.rates[:, -1:, None] * motion.beam.slide
         moved = 0.5 * motion.beam.physics.base_compliance_mass * motion.rates[:, -1] ** 2
-    hidden = motion.beam.physics.tip_payload_mass
-    masses = np.append(motion.beam.line * basis.weights, [motion.beam.tip_masses[0] - hidden, hidden])
+    masses = np.append(motion.beam.line * basis.weights, [body.mass for body in bodies])
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ masses
+    kinetic += 0.5 * sum(body.inertia for body in bodies) * (motion.rates @ motion.beam.tip_heading) ** 2
     share = motion.beam.physics.motor_share
     shares = [share, 1.0 - share] if motion.beam.motor else [1.0] * int(motion.beam.revolute)
     hubs = 0.5 * beam.hub_inertia * motion.rates[:, : len(shares)] ** 2 @ np.array(shares)

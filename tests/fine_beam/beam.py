@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,17 @@ from tests.fine_beam.integrator import ExponentialRungeKutta
 from tests.fine_beam.mechanics import Mechanics
 
 Array = NDArray[np.float64]
+
+
+class Body(NamedTuple):
+    """A rigid body on the distal end: mass, kg; its centre's distance beyond, m; moment of inertia about it, kg m^2."""
+
+    mass: float = 0.0
+    offset: float = 0.0
+    inertia: float = 0.0
+
+
+NO_BODY = Body()
 
 
 @dataclass(frozen=True)

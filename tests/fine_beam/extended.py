@@ -8,7 +8,7 @@ and last, where it moves, the table's displacement u: a point's velocity is u' d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from tests.fine_beam.basis import Basis, make_basis
-from tests.fine_beam.beam import Beam
+from tests.fine_beam.beam import NO_BODY, Beam, Body
 from tests.fine_beam.hidden import Physics, slip_rate, transmission_torque
 
 Array = NDArray[np.float64]
@@ -44,13 +44,21 @@ class Parts(NamedTuple):
 
 
 class Extended:
-    """A beam with hidden physics and B payloads (kg, on the tip, on top of its own)."""
+    """A beam with hidden physics and B payloads, on top of its own."""
 
-    def __init__(self, beam: Beam, physics: Physics, payloads: Array, size: int = 8, nodes: int = 16) -> None:
-        tip_moment = physics.tip_payload_radius_of_gyration > 0.0 or physics.tip_payload_offset != 0.0
+    def __init__(
+        self, beam: Beam, physics: Physics, payloads: Sequence[Body] = (NO_BODY,), size: int = 8, nodes: int = 16
+    ) -> None:
+        true = np.array([physics.true_payload(payload) for payload in payloads])
+        distinct, group = np.unique(true, axis=0, return_inverse=True)
+        self.group: NDArray[np.intp] = group.ravel()
+        # On the tip with each distinct payload.
+        self.bodies = [(Body(beam.payload), physics.tip_payload, Body(*map(float, payload))) for payload in distinct]
+        on_tip = [body for bodies in self.bodies for body in bodies]
+        tip_moment = any(body.offset or body.inertia for body in on_tip)
         size += int(tip_moment)  # up to the same degree
         basis: Basis = make_basis(beam.length, size, nodes, tip_moment)
-        basis = basis.with_tip_node() if physics.tip_payload_offset else basis
+        basis = basis.with_tip_node() if any(body.offset for body in on_tip) else basis
         nodes = len(basis.nodes)
         self.beam, self.physics, self.basis = beam, physics, basis
         self.revolute = beam.joint == "revolute"
@@ -71,11 +79,9 @@ class Extended:
         self.section: Array = beam.bending_stiffness * thickness**3
         self.tip_heading: Array = self._tip_heading()
         self.gravity: Array = np.add(beam.gravity, (physics.in_plane_gravity_gx, physics.in_plane_gravity_gy))
-        tips = beam.payload + physics.tip_payload_mass + np.asarray(payloads, dtype=float)
-        self.tip_masses, self.group = np.unique(tips, return_inverse=True)
         self._set_masses()
         self.stiffness, self.bending_stiffness = self._stiffness()
-        self.damping: Array = np.stack([self._damping(k) for k in range(len(self.tip_masses))])
+        self.damping: Array = np.stack([self._damping(k) for k in range(len(self.bodies))])
         self.ratios, self.time_constants = self._maxwell_arms()
         self.parts = self._parts(size, nodes)
         self.dimension: int = self.parts.torque.stop
@@ -102,29 +108,30 @@ class Extended:
         """Kernels (N, N) and masses beyond each node (N,) of the distinct payloads; one for each member."""
         basis = self.basis
         carried = self.line * basis.weights
-        bare = (basis.cumulative.T * carried) @ basis.cumulative
-        tips = self.tip_masses[:, None]
-        # On the tip, and beyond it: by the distance times the heading at the last node.
-        reach = basis.weights.copy()
-        reach[-1] += self.physics.tip_payload_offset
-        hidden = self.physics.tip_payload_mass
-        on_tip = (tips - hidden)[..., None] * np.outer(basis.weights, basis.weights)
-        kernels = bare + on_tip + hidden * np.outer(reach, reach)
-        beyond = carried @ basis.cumulative + (tips - hidden) * basis.weights + hidden * reach
-        self._turning: Array = np.zeros((self.size, self.size))
+        count, nodes = len(self.bodies), len(basis.nodes)
+        kernels = np.tile((basis.cumulative.T * carried) @ basis.cumulative, (count, 1, 1))
+        beyond = np.tile(carried @ basis.cumulative, (count, 1))
+        turning = np.zeros((count, self.size, self.size))
         if self.revolute:
             motor = self.physics.motor_share
             for k, share in enumerate((motor, 1.0 - motor) if self.motor else (1.0,)):
-                self._turning[k, k] = share * self.beam.hub_inertia
-        rotary = self.physics.tip_payload_mass * self.physics.tip_payload_radius_of_gyration**2
-        self._turning += rotary * np.outer(self.tip_heading, self.tip_heading)
-        self.mass: Array = self.heading.T @ kernels @ self.heading + self._turning
+                turning[:, k, k] = share * self.beam.hub_inertia
+        for k, bodies in enumerate(self.bodies):
+            for mass, offset, inertia in bodies:
+                # On the tip, and beyond it: by the distance times the heading at the last node.
+                reach = basis.weights + offset * np.eye(nodes)[-1]
+                kernels[k] += mass * np.outer(reach, reach)
+                beyond[k] += mass * reach
+                turning[k] += inertia * np.outer(self.tip_heading, self.tip_heading)
+        self.mass: Array = self.heading.T @ kernels @ self.heading + turning
         if self.physics.has_table:
-            self._moved: Array = self.physics.base_compliance_mass + self.beam.mass + self.tip_masses
+            masses = np.array([sum(body.mass for body in bodies) for bodies in self.bodies])
+            self._moved: Array = self.physics.base_compliance_mass + self.beam.mass + masses
             self.mass[:, -1, -1] = self._moved
             straight = self.slide[1] * beyond @ self.heading[:, :-1]
             self.mass[:, -1, :-1], self.mass[:, :-1, -1] = straight, straight
-        single = len(self.tip_masses) == 1
+        single = count == 1
+        self._turning: Array = turning if single else turning[self.group]
         self._kernel: Array = kernels if single else kernels[self.group]
         self._beyond: Array = beyond if single else beyond[self.group]
 
@@ -173,7 +180,7 @@ class Extended:
         spacing = self.physics.structural_damping_spacing
         if loss == 0.0:
             return ratios, constants
-        alone = Extended(self.beam, replace(self.physics, structural_damping_loss_factor=0.0), np.zeros(1))
+        alone = Extended(self.beam, replace(self.physics, structural_damping_loss_factor=0.0))
         first = alone.modes()[0][0]
         # Of the time constants in the first vibration.
         phases = 10.0 ** np.arange(np.log10(self.physics.structural_damping_memory), np.log10(1 / 4000), -spacing)

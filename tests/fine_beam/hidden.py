@@ -12,6 +12,8 @@ from math import inf, isfinite, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.fine_beam.beam import Body
+
 Array = NDArray[np.float64]
 
 FLANK_DEPTH = 2e-5  # rad; over the first bit of a contact the damping of a backlash's flanks fades in
@@ -24,6 +26,7 @@ class Physics:
     Attributes:
         tip_payload_mass, tip_payload_radius_of_gyration, tip_payload_offset: of a body, its centre beyond the tip; kg,
             m, m.
+        payload_body_offset, payload_body_radius_of_gyration: of a recording's payload, beyond those that are known, m.
         in_plane_gravity_gx, in_plane_gravity_gy: uniform gravity on top of the beam's own, m/s^2.
         coulomb_friction_torque: dry friction at the joint, with sticking, N m.
         viscous_friction_coefficient: at the joint, N m s/rad.
@@ -64,6 +67,8 @@ class Physics:
     tip_payload_mass: float = 0.0
     tip_payload_radius_of_gyration: float = 0.0
     tip_payload_offset: float = 0.0
+    payload_body_offset: float = 0.0
+    payload_body_radius_of_gyration: float = 0.0
     in_plane_gravity_gx: float = 0.0
     in_plane_gravity_gy: float = 0.0
     coulomb_friction_torque: float = 0.0
@@ -109,6 +114,18 @@ class Physics:
     cogging_phase: float = 0.0
     stribeck_torque: float = 0.0
     stribeck_speed: float = 0.1
+
+    @property
+    def tip_payload(self) -> Body:
+        """The unknown body on the tip."""
+        mass, radius = self.tip_payload_mass, self.tip_payload_radius_of_gyration
+        return Body(mass, self.tip_payload_offset, mass * radius**2)
+
+    def true_payload(self, known: Body) -> Body:
+        """A recording's payload as it is."""
+        mass, offset, inertia = known
+        spread = mass * self.payload_body_radius_of_gyration**2
+        return Body(mass, offset + self.payload_body_offset if mass else 0.0, inertia + spread)
 
     @property
     def has_motor(self) -> bool:

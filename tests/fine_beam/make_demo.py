@@ -105,7 +105,7 @@ def simulate_recording(recording: DemoRecording, numerics: Numerics = NUMERICS) 
 def simulate_later(recordings: Sequence[DemoRecording], step: float = 1e-3) -> list[Motion]:
     """The true motions behind later recordings."""
     time = np.arange(round(max(each.duration for each in recordings) * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
-    runs = [Run(None, tuple(each.tip_amplitudes), each.entry.payload or 0.0) for each in recordings]
+    runs = [Run(None, tuple(each.tip_amplitudes), each.entry.body) for each in recordings]
     return simulate_runs(TRUE_BEAM, LATER, time, runs, step)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import root
 
-from tests.fine_beam.beam import Beam
+from tests.fine_beam.beam import NO_BODY, Beam, Body
 from tests.fine_beam.extended import Extended
 from tests.fine_beam.hidden import Physics
 from tests.fine_beam.stepper import Drive, Stepper
@@ -25,7 +25,7 @@ class Run:
     Attributes:
         torque: true torque at the joint at each instant, N m, (T,); None: zero. Before t = 0 the joint is held.
         tip_amplitudes: of vibration modes at the start, m of transverse tip motion.
-        payload: on the tip, on top of the beam's own, kg.
+        payload: on the tip, on top of the beam's own.
         held: the joint is held still throughout, by a constant torque (`Motion.hold`), and no tip_amplitudes.
         theta: joint angle at the start, rad.
         push: what is added to coordinates and rates at the start, (2 n,); None: nothing.
@@ -33,7 +33,7 @@ class Run:
 
     torque: Array | None = None
     tip_amplitudes: tuple[float, ...] = ()
-    payload: float = 0.0
+    payload: Body = NO_BODY
     held: bool = False
     theta: float = 0.0
     push: Array | None = None
@@ -117,7 +117,7 @@ def simulate_runs(
         size: number of bending functions.
     """
     extended = _extended(beam, physics, runs, size)
-    equilibria = [_equilibrium(beam, physics, run, size) for run in runs]
+    equilibria = [_equilibrium(beam, physics, [run, *runs], size) for run in runs]
     holds = np.array([hold for _, hold in equilibria])
     state = np.zeros((len(runs), extended.dimension))
     for k, (run, (coordinates, _)) in enumerate(zip(runs, equilibria, strict=True)):
@@ -132,14 +132,16 @@ def simulate_runs(
     drive = _drive(time, runs, holds)
     state[:, extended.parts.torque] = drive.start[0, :, None]
     states = Stepper(extended).run(time, drive, state, physics.step if step is None else step)
+    # Each of a beam in the functions of all, its own payload first.
     return [
-        Motion(_extended(beam, physics, [run], size), time, states[:, k], float(holds[k])) for k, run in enumerate(runs)
+        Motion(_extended(beam, physics, [run, *runs], size), time, states[:, k], float(holds[k]))
+        for k, run in enumerate(runs)
     ]
 
 
 def _extended(beam: Beam, physics: Physics, runs: Sequence[Run], size: int) -> Extended:
     """The beam with the runs' payloads."""
-    return Extended(beam, physics, np.array([run.payload for run in runs]), size, max(2 * size, physics.nodes))
+    return Extended(beam, physics, [run.payload for run in runs], size, max(2 * size, physics.nodes))
 
 
 def _drive(time: Array, runs: Sequence[Run], holds: Array) -> Drive:
@@ -161,19 +163,19 @@ def _modal(beam: Extended, k: int, run: Run) -> Array:
     return np.asarray(chosen @ (np.array(run.tip_amplitudes) / (to_tip @ chosen)))
 
 
-def _equilibrium(beam: Beam, physics: Physics, run: Run, size: int) -> tuple[Array, float]:
-    """Coordinates (n,) at rest with the joint held at run.theta, and the torque that holds it, N m.
+def _equilibrium(beam: Beam, physics: Physics, runs: Sequence[Run], size: int) -> tuple[Array, float]:
+    """Coordinates (n,) at rest with the joint of the first run held at its theta, and the torque that holds it, N m.
 
     The tone, the friction and the slip are left out: they hold nothing.
     """
     calm = replace(physics, external_tone_amplitude=0.0, hysteresis_ratio=0.0)
-    single = _extended(beam, calm, [run], size)
+    single, run = _extended(beam, calm, runs, size), runs[0]
     first = int(single.revolute)
 
     def forces(coordinates: Array) -> Array:
-        state = np.zeros((1, single.dimension))
+        state = np.zeros((len(runs), single.dimension))
         state[0, single.parts.coordinates] = coordinates
-        balance: Array = single.forces(state, 0.0, np.zeros(1), single.fields(state))[0]
+        balance: Array = single.forces(state, 0.0, np.zeros(len(runs)), single.fields(state))[0]
         return balance
 
     def residual(free: Array) -> Array:

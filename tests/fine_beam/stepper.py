@@ -42,7 +42,7 @@ class Stepper:
     def __init__(self, beam: Extended) -> None:
         self._beam = beam
         self._sticks = beam.revolute and beam.physics.has_dry_friction
-        groups = range(len(beam.tip_masses))
+        groups = range(len(beam.bodies))
         self._linear = [beam.linear(k) for k in groups]
         rates = np.stack([matrix[beam.parts.rates].T for matrix in self._linear])
         self._linear_rates = rates if len(rates) == 1 else rates[beam.group]

@@ -18,7 +18,6 @@ from tests.fine_beam.motion import Run, simulate_runs
 from tests.fine_beam.wedge import wedge_pulsations
 
 Array = NDArray[np.float64]
-NONE = np.zeros(1)
 
 
 # The link's bending
@@ -33,10 +32,10 @@ def rooted(pulsation: float, stiffness: float) -> float:
 
 
 def test_clamp_compliance_has_the_frequencies_of_a_sprung_root() -> None:
-    pulsations = Extended(CLAMPED, Physics(clamp_compliance_compliance=5e-3), NONE).modes()[0][:3]
+    pulsations = Extended(CLAMPED, Physics(clamp_compliance_compliance=5e-3)).modes()[0][:3]
     expected = [brentq(rooted, 0.97 * p, 1.03 * p, args=(200.0,), xtol=1e-12) for p in pulsations]
     np.testing.assert_allclose(pulsations, expected, rtol=2e-6)
-    plain = Extended(CLAMPED, Physics(), NONE).modes()[0][:3]
+    plain = Extended(CLAMPED, Physics()).modes()[0][:3]
     assert np.all(pulsations < 0.995 * plain)
 
 
@@ -48,9 +47,9 @@ def test_clamp_compliance_turns_the_root_by_its_moment() -> None:
 
 @pytest.mark.parametrize("taper", [0.04, 0.6])
 def test_taper_has_the_frequencies_of_a_truncated_wedge(taper: float) -> None:
-    pulsations = Extended(CLAMPED, Physics(taper_taper=taper), NONE).modes()[0][:3]
+    pulsations = Extended(CLAMPED, Physics(taper_taper=taper)).modes()[0][:3]
     np.testing.assert_allclose(pulsations, wedge_pulsations(1.0, 0.44, 1.97, taper, 3), rtol=2e-6)
-    turned = Extended(CLAMPED, Physics(taper_taper=-taper), NONE).modes()[0][0]
+    turned = Extended(CLAMPED, Physics(taper_taper=-taper)).modes()[0][0]
     assert turned < pulsations[0]  # thick at the tip
 
 
@@ -105,8 +104,8 @@ def test_structural_damping_is_half_the_loss_factor_in_every_mode_and_stiffens_t
     """By 2 eta / pi for every factor e in frequency, as causality asks of a loss that is the same at all of them."""
     loss, undamped = 0.02, replace(CLAMPED, kelvin_voigt_time=0.0)
     hidden = Physics(structural_damping_loss_factor=loss, structural_damping_spacing=spacing)
-    roots = np.linalg.eigvals(Extended(undamped, hidden, NONE).linear(0))
-    pulsations, _ = Extended(undamped, Physics(), NONE).modes()
+    roots = np.linalg.eigvals(Extended(undamped, hidden).linear(0))
+    pulsations, _ = Extended(undamped, Physics()).modes()
     # Of the arms' loss, as a share of it, and as much of what they add to the stiffness in this mode and in the first.
     ripple = 2.0 / np.cosh(np.pi**2 / (spacing * np.log(10.0)))
     error = 2.0 * (loss * ripple + loss**2)
@@ -136,7 +135,7 @@ def test_creep_is_a_standard_linear_solid(mode: int) -> None:
 
 def test_creep_relaxes_with_its_time_constant() -> None:
     # A bend held since t = 0 keeps 1 + ratio exp(-t / T) of its moment: kappa_m' = -kappa_m / T once kappa rests.
-    matrix = Extended(CLAMPED, Physics(viscoelastic_creep_ratio=0.05), NONE).linear(0)
+    matrix = Extended(CLAMPED, Physics(viscoelastic_creep_ratio=0.05)).linear(0)
     np.testing.assert_allclose(matrix[16:, 16:], -10.0 * np.eye(8))
     np.testing.assert_allclose(matrix[16:, 8:16], np.eye(8))
 

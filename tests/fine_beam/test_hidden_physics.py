@@ -12,12 +12,12 @@ from scipy.optimize import brentq
 
 from tests.fine_beam import linear_modes, simulate, static_state
 from tests.fine_beam.arms import HUB, INERTIA, MARKERS, RIGID, TIME, alone, drive, energy, rms
+from tests.fine_beam.beam import Body
 from tests.fine_beam.extended import Extended
 from tests.fine_beam.hidden import Physics
 from tests.fine_beam.motion import Run, simulate_runs
 
 Array = NDArray[np.float64]
-NONE = np.zeros(1)
 
 
 # Nothing hidden
@@ -32,7 +32,8 @@ def test_with_nothing_hidden_it_is_the_plain_beam() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, pytest.param(0.008, marks=pytest.mark.slow)])
 def test_runs_together_are_the_runs_alone(friction: float) -> None:
-    runs = [Run(drive(TIME)), Run(drive(TIME), payload=0.05), Run(-0.5 * drive(TIME), payload=0.05), Run(held=True)]
+    body = Body(0.05, 0.04, 1e-4)
+    runs = [Run(drive(TIME)), Run(drive(TIME), payload=body), Run(-0.5 * drive(TIME), payload=body), Run(held=True)]
     physics = Physics(
         coulomb_friction_torque=friction, structural_damping_loss_factor=0.02, linear_drag_coefficient=0.02
     )
@@ -46,11 +47,24 @@ def test_runs_together_are_the_runs_alone(friction: float) -> None:
 
 def test_payload_is_that_of_the_plain_beam() -> None:
     heavy = replace(HUB, payload=0.06)
-    motion = alone(HUB, Physics(tip_payload_mass=0.01), Run(drive(TIME), payload=0.05))
+    motion = alone(HUB, Physics(tip_payload_mass=0.01), Run(drive(TIME), payload=Body(0.05)))
     plain = simulate(heavy, TIME, drive(TIME))
     np.testing.assert_allclose(motion.positions(MARKERS), plain.positions(MARKERS), atol=1e-7)
     frequencies = motion.beam.modes()[0][:3] / (2.0 * np.pi)
     np.testing.assert_allclose(frequencies, linear_modes(heavy).frequencies[:3], rtol=1e-6)
+
+
+def test_a_known_payload_is_the_body_that_it_is() -> None:
+    physics, body = Physics(payload_body_offset=0.05, payload_body_radius_of_gyration=0.04), Body(0.05, -0.02, 1e-4)
+    hidden = alone(HUB, physics, Run(drive(TIME), payload=body))
+    known = alone(HUB, Physics(), Run(drive(TIME), payload=Body(0.05, 0.03, 1e-4 + 0.05 * 0.04**2)))
+    radius = (0.04**2 + 1e-4 / 0.05) ** 0.5
+    physics = Physics(tip_payload_mass=0.05, tip_payload_offset=0.03, tip_payload_radius_of_gyration=radius)
+    unknown = alone(HUB, physics, Run(drive(TIME)))
+    point = alone(HUB, Physics(), Run(drive(TIME), payload=Body(0.05)))
+    np.testing.assert_allclose(hidden.positions(MARKERS), unknown.positions(MARKERS), atol=1e-10)
+    np.testing.assert_allclose(known.positions(MARKERS), unknown.positions(MARKERS), atol=1e-10)
+    assert rms(point, known) > 5e-4
 
 
 def test_gravity_is_that_of_the_plain_beam() -> None:
@@ -117,11 +131,11 @@ def test_the_motor_has_its_share_of_the_inertia(share: float) -> None:
     physics = Physics(gear_elasticity_stiffness=60.0, gear_elasticity_motor_share=share)
     motor = share * RIGID.hub_inertia
     expected = np.sqrt(60.0 * (1.0 / motor + 1.0 / (INERTIA - motor)))
-    assert Extended(RIGID, physics, NONE).modes()[0][0] == pytest.approx(expected, rel=1e-3)
+    assert Extended(RIGID, physics).modes()[0][0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_elastic_gear_of_a_rigid_arm() -> None:
-    beam = Extended(RIGID, Physics(gear_elasticity_stiffness=60.0), NONE)
+    beam = Extended(RIGID, Physics(gear_elasticity_stiffness=60.0))
     expected = np.sqrt(60.0 * (1.0 / 0.01 + 1.0 / (INERTIA - 0.01)))
     assert beam.modes()[0][0] == pytest.approx(expected, rel=1e-3)
     motion = alone(RIGID, Physics(gear_elasticity_stiffness=60.0, in_plane_gravity_gy=-0.3), Run(held=True))
@@ -136,7 +150,7 @@ def test_the_damper_beside_an_elastic_gear_slows_the_twist_of_two_inertias(dampi
     """Motor and arm against each other, x'' = -(1/a + 1/b) (k x + d x'): underdamped, and next to no swing at all."""
     motor, arm = 0.3 * 0.02, INERTIA - 0.3 * 0.02
     physics = Physics(gear_elasticity_stiffness=60.0, gear_elasticity_motor_share=0.3, gear_elasticity_damping=damping)
-    push = np.zeros(2 * Extended(RIGID, physics, NONE).size)
+    push = np.zeros(2 * Extended(RIGID, physics).size)
     push[:2] = 0.01 * arm / (motor + arm), -0.01 * motor / (motor + arm)  # a twist about the centre of both
     motion = alone(RIGID, physics, Run(push=push), step=5e-4)
     mobility = 1.0 / motor + 1.0 / arm
@@ -152,7 +166,7 @@ def test_the_damper_beside_a_clamp_s_spring_damps_a_rigid_link(damping: float) -
     """Of an oscillator J x'' + d x' + x / c = 0, the exact eigenvalue."""
     rigid = replace(RIGID, joint="clamped", hub_inertia=0.0)
     physics = Physics(clamp_compliance_compliance=0.05, clamp_compliance_damping=damping)
-    values = np.linalg.eigvals(Extended(rigid, physics, NONE).linear(0))
+    values = np.linalg.eigvals(Extended(rigid, physics).linear(0))
     slowest = values[np.argmin(np.abs(values))]
     inertia = 0.44 / 3.0
     assert slowest.real == pytest.approx(-0.5 * damping / inertia, rel=2e-3)
@@ -224,7 +238,7 @@ def sliding(pulsation: float, stiffness: float, mass: float) -> float:
 
 def test_a_link_on_a_table_has_the_frequencies_of_a_beam_whose_root_slides() -> None:
     clamped = replace(HUB, joint="clamped", hub_inertia=0.0)
-    pulsations = Extended(clamped, table(stiffness=2000.0, mass=3.0), NONE).modes()[0][:4]
+    pulsations = Extended(clamped, table(stiffness=2000.0, mass=3.0)).modes()[0][:4]
     for found in pulsations:
         assert found == pytest.approx(brentq(sliding, 0.98 * found, 1.02 * found, args=(2000.0, 3.0)), rel=2e-6)
     assert np.abs(pulsations - np.sqrt(2000.0 / 3.4)).min() < 1.0
@@ -255,13 +269,13 @@ UNDAMPED = replace(HUB, kelvin_voigt_time=0.0)
     [
         Physics(gear_elasticity_stiffness=60.0),
         Physics(clamp_compliance_compliance=5e-3),
-        Physics(tip_payload_mass=0.05, tip_payload_offset=0.1),
+        Physics(tip_payload_mass=0.05, tip_payload_offset=0.1, tip_payload_radius_of_gyration=0.05),
         table(stiffness=500.0, mass=2.0, direction=0.9, damping_ratio=0.0),
     ],
     ids=["gear", "clamp", "payload", "table"],
 )
 def test_energy_is_kept_where_nothing_takes_it(physics: Physics) -> None:
-    motion = alone(UNDAMPED, physics, Run(tip_amplitudes=(0.05, 0.005)), step=1e-3)
+    motion = alone(UNDAMPED, physics, Run(tip_amplitudes=(0.05, 0.005), payload=Body(0.02, 0.06, 5e-5)), step=1e-3)
     np.testing.assert_allclose(energy(motion), energy(motion)[0], rtol=1e-5)
 
 

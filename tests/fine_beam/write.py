@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.fine_beam.beam import Body
 from tests.fine_beam.sensors import Frames
 
 Array = NDArray[np.float64]
@@ -30,6 +31,13 @@ class RecordingEntry:
     condition: str | None = None
     payload: float | None = None
     gravity: tuple[float, float] | None = None
+    payload_offset: float | None = None
+    payload_inertia: float | None = None
+
+    @property
+    def body(self) -> Body:
+        """What is on the tip."""
+        return Body(self.payload or 0.0, self.payload_offset or 0.0, self.payload_inertia or 0.0)
 
 
 @dataclass(frozen=True)

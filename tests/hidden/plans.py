@@ -43,13 +43,17 @@ def _hub_plans(setting: Setting, random: np.random.Generator, reference: bool) -
     large = _sines(setting, random, (0.24, 0.08, 0.05), (0.8, 2.7, 5.3))
     loaded = _sines(setting, random, (0.08, 0.04, 0.02), (0.8, 2.1, 5.6))
     other = _sines(setting, random, (0.11, 0.07, 0.03), (0.55, 1.7, 3.9))
+    # From a point to a body a third as long as the link, held anywhere along it.
+    radius = 0.1 * random.uniform()
+    body = {"payload": KNOWN_PAYLOAD, "payload_inertia": KNOWN_PAYLOAD * radius**2}
+    body["payload_offset"] = 3**0.5 * radius * random.uniform(-1.0, 1.0)
     plans = [
         Plan(RecordingEntry("quiet.csv", "quiet", "train")),
         Plan(RecordingEntry("drive_small_1.csv", "driven", "train", repeat="drive_small"), small),
         Plan(RecordingEntry("drive_small_2.csv", "driven", "train", repeat="drive_small"), small),
         Plan(RecordingEntry("drive_large.csv", "driven", "train"), large),
         Plan(RecordingEntry("chirp.csv", "driven", "train"), _chirp(setting, random)),
-        Plan(RecordingEntry("drive_payload.csv", "driven", "train", payload=KNOWN_PAYLOAD), loaded),
+        Plan(RecordingEntry("drive_payload.csv", "driven", "train", **body), loaded),
         Plan(RecordingEntry("slew.csv", "driven", "holdout"), _slew(setting, random)),
         Plan(RecordingEntry("drive_other.csv", "driven", "holdout"), other),
     ]

@@ -27,7 +27,7 @@ from tests.fine_beam import (
 )
 from tests.fine_beam.hidden import fields_of, is_mechanical
 from tests.hidden.plans import Plan, plans_of
-from tests.hidden.settings import Rig, Setting, setting_of
+from tests.hidden.settings import Rig, Setting, Units, setting_of
 from tests.hidden.severities import Planted, written
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def _run(plan: Plan, physics: Physics, time: Array, push: Array | None) -> Run:
     if plan.torque is not None:
         torque = physics.torque_gain_gain * plan.torque(time) + physics.torque_offset_offset
     held = plan.entry.kind == "quiet"
-    return Run(torque, plan.tip_amplitudes, plan.entry.payload or 0.0, held=held, push=push)
+    return Run(torque, plan.tip_amplitudes, plan.entry.body, held=held, push=push)
 
 
 def _show(setting: Setting, plan: Plan, motion: Motion, physics: Physics, faults: Faults, number: int) -> Shown:
@@ -180,14 +180,22 @@ def write_hidden(
     link |= {key: units.of(*powers[key]) * value for key, value in setting.nominal.items()}
     sensors = {"marker_noise": units.length * camera.noise}
     sensors |= {"encoder_noise": setting.encoder.noise} if setting.turns else {}
-    entries = [_written(each.plan.entry, units.mass) for each in shown]
+    entries = [_written(each.plan.entry, units) for each in shown]
     write_experiment(folder / "experiment.toml", f"{rig} rig", link, sensors, entries)
     every, right = ({file: pair[k] for file, pair in noise.items()} for k in (0, 1))
     return Truth(rig, seed, tuple(written(each, units) for each in effects), setting, every, right)
 
 
-def _written(entry: RecordingEntry, mass: float) -> RecordingEntry:
-    return entry if entry.payload is None else replace(entry, payload=mass * entry.payload)
+def _written(entry: RecordingEntry, units: Units) -> RecordingEntry:
+    if entry.payload is None:
+        return entry
+    mass, offset, inertia = entry.body
+    return replace(
+        entry,
+        payload=units.mass * mass,
+        payload_offset=units.length * offset,
+        payload_inertia=units.of(2, 1, 0) * inertia,
+    )
 
 
 def _write(folder: Path, setting: Setting, shown: Shown, seed: int) -> tuple[float, float]:

@@ -74,6 +74,7 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "base_compliance": {"stiffness": Size(2000.0, reciprocal=True)},
     "camera_vibration": {"amplitude": Size(0.0004)},
     "timestamp_jitter": {"jitter": Size(0.002)},
+    "payload_body": {"offset": Size(0.02, True)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
 # Everyday size of vectors, whose two components come from one length and one direction.
@@ -95,6 +96,8 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("tip_payload", "mass"): (0, 1, 0),
     ("tip_payload", "radius_of_gyration"): (1, 0, 0),
     ("tip_payload", "offset"): (1, 0, 0),
+    ("payload_body", "offset"): (1, 0, 0),
+    ("payload_body", "radius_of_gyration"): (1, 0, 0),
     ("in_plane_gravity", "gx"): (1, 0, -2),
     ("in_plane_gravity", "gy"): (1, 0, -2),
     ("coulomb_friction", "torque"): (2, 1, -2),
@@ -136,8 +139,8 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
 EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation")
 _ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
 _JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
-# Free decays of a clamped link say nothing of a joint, nor of a clock without a second one.
-ONLY_WITH_HUB = (*_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
+# Free decays of a clamped link say nothing of a joint, nor of a clock without a second one; none has a known payload.
+ONLY_WITH_HUB = ("payload_body", *_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
 
 # What no recording of the rig, or next to none, can tell apart.
 _ALWAYS = (("camera_rotation", "rest_curvature", "encoder_offset"),)
@@ -242,6 +245,8 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
         case "tip_payload":  # from a point to a body a third as long as the link, held anywhere along it
             radius = 0.1 * random.uniform()
             return {"radius_of_gyration": radius, "offset": 12**0.5 / 2 * radius * random.uniform(-1.0, 1.0)}
+        case "payload_body":  # from a point to a body a third as long as the link
+            return {"radius_of_gyration": 0.1 * random.uniform()}
         case "backlash":
             share = random.uniform(0.2, 0.8)
             # What flanks do is not the model's law: their stiffness and damping have names of their own. From those of

@@ -73,7 +73,7 @@ def _measured(setting: Setting, plans: Sequence[Plan], push: Array | None = None
 
 def _pushes(beam: Beam, plan: Plan) -> list[Array]:
     """Small changes of the initial state: coordinates and rates of the lowest modes, (2 n,) each."""
-    extended = Extended(beam, Physics(), np.array([plan.entry.payload or 0.0]))
+    extended = Extended(beam, Physics(), [plan.entry.body])
     turn = np.eye(extended.size)[:, :1] if extended.revolute else np.empty((extended.size, 0))
     shapes = np.hstack([turn, extended.modes()[1] / extended.modes()[0]])[:, :MODES].T
     still = np.zeros(extended.size)

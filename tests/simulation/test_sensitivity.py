@@ -38,6 +38,7 @@ from vjm.effects import (
     Effect,
     GearElasticity,
     Hysteresis,
+    PayloadBody,
     Stribeck,
     StructuralDamping,
     TipPayload,
@@ -155,6 +156,21 @@ def test_parameters_of_a_payload(arm: str) -> None:
     for k, name in enumerate(body):
         error = np.linalg.norm(found[:, k] - expected[:, k]) / np.linalg.norm(expected[:, k])
         assert error < 0.02, (name, error)
+
+
+def test_parameters_of_a_known_payload() -> None:
+    chain, recording, state = hub()
+    assert recording.payload
+
+    def arm(name: str, by: float) -> Arm:
+        return Arm.of(chain, (PayloadBody(**{"offset": 0.02, "radius_of_gyration": 0.03, name: 0.02 + by}),))
+
+    for name in ("offset", "radius_of_gyration"):
+        arms = [arm(name, by) for by in (0.0, STEP, -STEP)]
+        runs = simulate_runs(arms, [seen_by(chain, recording)] * 3, None, [state] * 3, 1.0)
+        found = of_one_stretch(runs[0], [PerturbedArm(arms[1], STEP)])[:, -1]
+        expected = (runs[2].residual - runs[1].residual) / (2 * STEP)
+        assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected), name
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -299,6 +315,7 @@ def rubbing(name: str) -> tuple[Arm, dict[str, tuple[Arm, float]], float]:
         others = [replace(other, torque=other.torque + 1e-8 * (other is effect)) for other in friction]
         moved[f"friction {k}"] = Arm.of(chain, others), 1e-8
     moved["payload"] = Arm.of(chain, [*friction, TipPayload(mass=1e-6)]), 1e-6
+    moved["known payload"] = Arm.of(chain, [*friction, PayloadBody(offset=1e-6)]), 1e-6
     return Arm.of(chain, friction), moved, 0.05 if name == "two links" else 0.15
 
 
@@ -310,7 +327,7 @@ def test_derivatives_of_what_sticks_are_differences_of_simulations(name: str) ->
     begun = np.r_[np.zeros(chain.size), np.where(np.isin(np.arange(chain.size), chain.active), 0.02, 0.2)]
     errors, held = [], []
     for seed in range(2 if count > 1 else 4):
-        seen = seen_by(arm.chain, recording_of(arm.chain, np.arange(41) / 100.0, jerky_torque(count, seed, size)))
+        seen = seen_by(arm.chain, recording_of(arm.chain, np.arange(41) / 100.0, jerky_torque(count, seed, size), 0.02))
         (run,) = simulate_runs([arm], [seen], None, [begun], 1.0)
         assert run.trajectory.friction is not None
         stopped = np.isfinite(run.trajectory.friction.stop) & (run.trajectory.friction.restarted == 0)

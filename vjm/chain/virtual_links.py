@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, GetPydanticSchema
 
 from vjm.errors import ShapeError
-from vjm.records import Array, Indices, Record
+from vjm.records import Array, Indices, Payload, Record
 
 Distal = Literal["free", "joined"]
 _Values = Annotated[Array, GetPydanticSchema(lambda _, handler: handler(list[float]))]  # as model.json holds them
@@ -83,6 +83,11 @@ class LinkChain(Record):
     def virtual_joints(self) -> int:
         """Number n of virtual joints."""
         return int(self.stiffness.size)
+
+    @property
+    def payload_body(self) -> Payload:
+        """The payload as a body."""
+        return Payload(self.payload, self.payload_offset, self.payload_inertia)
 
     @property
     def joint_kinds(self) -> tuple[str, ...]:

@@ -229,10 +229,9 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
     count = 4  # more modes are hardly ever seen by a camera
     simulated = [comparison.reference for comparison in recordings if comparison.reference is not None]
-    payloads = {run.recording.payload_body for run in simulated}
     frequencies = {
-        payload: modes(reference.chain, payload, reference.arm.gravity).frequencies[:count].tolist()
-        for payload in payloads
+        payload: modes(reference.chain, *reference.arm.loads(payload)).frequencies[:count].tolist()
+        for payload in {run.recording.payload_body for run in simulated}
     }
     return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 

@@ -213,10 +213,6 @@ def _description(findings: Diagnosis) -> str:
         worst = residuals.bands[0]
         low, high = worst.frequencies
         parts.append(f"largest in the {worst.sensor} of {worst.file}, {number(low)} to {number(high)} Hz")
-        recordings = {recording.file: recording for recording in findings.experiment.recordings}
-        mass, *elsewhere = recordings[worst.file].payload_body
-        if mass and not any(elsewhere):
-            parts.append("its payload was taken for a point at the tip (keys: payload_offset, payload_inertia)")
     parts += [findings.resemblance, _recurrence(findings.repeats)]
     if findings.needed:
         parts.append(f"{in_sentence(findings.needed[0].title)} would explain part of it")

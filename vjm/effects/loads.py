@@ -1,4 +1,4 @@
-"""Loads: a mass and a force on the tip, gravity, and air drag, with the planar kinematics of rigid rods.
+"""Loads: bodies and a force on the tip, gravity, and air drag, with the planar kinematics of rigid rods.
 
 Rod b has heading psi_b and turns at w_b. With e_b = exp(i psi_b), the component of a point's velocity along the normal
 i e_b at distance x from the rod's proximal end is Re(conj(e_b) sum_{a<b} l_a w_a e_a) + x w_b.
@@ -6,13 +6,15 @@ i e_b at distance x from the rod's proximal end is Re(conj(e_b) sum_{a<b} l_a w_
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, LinkEffect, StateFunction, WaveEffect, magnitude, shape_parameter
-from vjm.records import Array, Complex, Payload, Recording, Rig
+from vjm.records import NO_PAYLOAD, Array, Complex, Payload, Recording, Rig
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,11 @@ class _TipEffect(LinkEffect):
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         return (len(rig.links) - 1,)
+
+    def with_payload(self, chain: Chain, body: Payload) -> Chain:
+        """Return the chain with another payload."""
+        mass, offset, inertia = body
+        return self.with_link(chain, payload=mass, payload_offset=offset, payload_inertia=inertia)
 
 
 @dataclass(frozen=True)
@@ -50,10 +57,61 @@ class TipPayload(_TipEffect):
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a larger payload."""
-        link = self.link_of(chain)
         added = Payload(self.mass, self.offset, self.mass * self.radius_of_gyration**2)
-        both = Payload(link.payload, link.payload_offset, link.payload_inertia).with_another(added)
-        return self.with_link(chain, payload=both.mass, payload_offset=both.offset, payload_inertia=both.inertia)
+        return self.with_payload(chain, self.link_of(chain).payload_body.with_another(added))
+
+
+@dataclass(frozen=True)
+class PayloadBody(_TipEffect):
+    """A payload of known mass that is no point at the distal end, where it was taken for one.
+
+    Attributes:
+        carried: what the rig has there in every recording.
+    """
+
+    # Typical, and the bounds: as of an unknown mass.
+    offset: float = magnitude("m", 0.05, lower=-0.5, upper=0.5, in_rig_units=True)
+    radius_of_gyration: float = magnitude("m", 0.05, lower=0.0, upper=12**-0.5, power=2, in_rig_units=True)
+    carried: Payload = field(default=NO_PAYLOAD, kw_only=True)
+
+    description = "known payload that is no point at the tip"
+    clause = (
+        "the known payload on '{link}' is no point at its tip:[ radius of gyration {radius_of_gyration},]"
+        " centre {offset} beyond it"
+    )
+    assumptions = "one radius of gyration and one centre of all known payloads, on the centre line; rigidly fastened"
+    reference = "C. G. Atkeson, C. H. An and J. M. Hollerbach, Int. J. Robotics Research 5(3), 1986"
+    distinguishing_experiment = "the same drive without the payload; two payloads of different size"
+    in_urdf = True
+
+    def placed(self, rig: Rig, link: int | None) -> Self:
+        """Return the effect on the last link of a rig, with what the rig has there."""
+        return replace(super().placed(rig, link), carried=rig.links[-1].payload_body)
+
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        """Return the reason if there is no known payload."""
+        known = rig.links[-1].payload or any(recording.payload for recording in recordings)
+        return "" if known else "no payload is known to be on the tip"
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with the rig's payload as it is; another mass there stays."""
+        if not self.carried.mass or self.is_null:
+            return chain
+        mass, offset, inertia = self.carried
+        others = self.link_of(chain).payload_body.with_another(Payload(-mass, offset, -inertia))
+        return self.with_payload(chain, others.with_another(self._true(self.carried)))
+
+    def true_inputs(self, recording: Recording) -> Recording:
+        """Return the recording with its payload as it is."""
+        if not recording.payload:
+            return recording
+        true = self._true(recording.payload_body)
+        return replace(recording, payload_offset=true.offset, payload_inertia=true.inertia)
+
+    def _true(self, known: Payload) -> Payload:
+        return known._replace(
+            offset=known.offset + self.offset, inertia=known.inertia + known.mass * self.radius_of_gyration**2
+        )
 
 
 @dataclass(frozen=True)

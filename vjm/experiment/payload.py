@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from vjm.errors import is_number, require
+
 
 class Payload(NamedTuple):
     """A rigid body on the tip of a link."""
@@ -23,3 +25,16 @@ class Payload(NamedTuple):
 
 
 NO_PAYLOAD = Payload()
+
+
+def as_payload(value: float | Payload) -> Payload:
+    """Return what a user gives for a payload, a mass [kg] or a body, as a body.
+
+    Raises:
+        ShapeError: it is neither.
+    """
+    body = value if isinstance(value, Payload) else Payload(value)
+    valid = all(map(is_number, body)) and min(body.mass, body.inertia) >= 0 and (body.mass > 0 or body == NO_PAYLOAD)
+    expected = "a mass, zero or positive [kg], or a vjm.Payload of mass [kg], offset [m] and inertia [kg m^2]"
+    require("payload", value, valid, expected)
+    return body

@@ -141,6 +141,11 @@ class Link:
             previous = marker
         object.__setattr__(self, "bending_stiffness", self._section_stiffness())
 
+    @property
+    def payload_body(self) -> Payload:
+        """The payload as a body."""
+        return Payload(self.payload, self.payload_offset, self.payload_inertia)
+
     def _section_stiffness(self) -> float:
         section = {"youngs_modulus": self.youngs_modulus, "width": self.width, "thickness": self.thickness}
         absent = [key for key, value in section.items() if value is None]

@@ -175,7 +175,7 @@ def _add_chain(model: pin.Model, chain: Chain, payload: Payload) -> None:
             carried_inertia = link.carried_inertia if j == 0 else 0.0
             add_body(float(link.masses[j]), float(link.mass_centers[j]), float(link.inertias[j]) + carried_inertia)
             offset += length
-        add_body(link.payload, link.payload_offset, link.payload_inertia)
+        add_body(*link.payload_body)
         add_body(*(payload if i == len(chain.links) - 1 else NO_PAYLOAD))
 
 

@@ -13,7 +13,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.contact import Contact
 from vjm.effects.effect import Effect, StateFunction, is_nonsmooth
 from vjm.model.urdf import chain_to_urdf, simulator_file
-from vjm.records import Array, Indices, Payload, Recording
+from vjm.records import NO_PAYLOAD, Array, Indices, Payload, Recording
 from vjm.text import in_sentence
 
 T = TypeVar("T")
@@ -74,9 +74,27 @@ class Arm:
     @cached_property
     def gravity(self) -> tuple[float, float]:
         """Gravity in the plane [m/s^2] where the known one is the chain's: effects may add to that."""
+        return self.loads()[1]
+
+    def loads(self, payload: Payload = NO_PAYLOAD) -> tuple[Payload, tuple[float, float]]:
+        """Return payload and gravity [m/s^2] as they are where this payload and the chain's gravity are what is known.
+
+        The former is what is known to be on the tip beside the chain's own payload.
+        """
         idle = np.zeros((1, self.chain.active.size))
-        still = Recording(np.zeros(1), np.zeros((1, 0, 2)), idle, idle, kind="quiet", gravity=self.chain.gravity)
-        return self.inputs(still).gravity
+        still = Recording(
+            np.zeros(1),
+            np.zeros((1, 0, 2)),
+            idle,
+            idle,
+            kind="quiet",
+            gravity=self.chain.gravity,
+            payload=payload.mass,
+            payload_offset=payload.offset,
+            payload_inertia=payload.inertia,
+        )
+        inputs = self.inputs(still)
+        return inputs.payload_body, inputs.gravity
 
     @cached_property
     def state_counts(self) -> tuple[int, ...]:

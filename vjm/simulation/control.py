@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, StateFunction
-from vjm.errors import ShapeError, SimulationDivergedError, is_number, require, shown
+from vjm.errors import ShapeError, SimulationDivergedError, is_number, shown
 from vjm.experiment.arrays import number_array
 from vjm.model.modes import linearise
-from vjm.records import Array, Payload, Recording, Rig, Simulation
+from vjm.records import NO_PAYLOAD, Array, Payload, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, sensor_readings
@@ -61,15 +61,23 @@ def _through_actuators(effects: tuple[Effect, ...], time: Array, torque: Array) 
     """Return the torques (T, n_a) that act where torques (T, n_a) are asked for at instants (T,)."""
     if all(type(effect).true_inputs is Effect.true_inputs for effect in effects):
         return torque
-    recording = _recording(time, torque, (0.0, 0.0), 0.0, 0)
+    recording = _recording(time, torque, (0.0, 0.0), NO_PAYLOAD, 0)
     for effect in effects:
         recording = effect.true_inputs(recording)
     return recording.tau
 
 
-def _recording(time: Array, torque: Array, gravity: tuple[float, float], payload: float, markers: int) -> Recording:
-    missing = np.full((time.size, markers, 2), np.nan)
-    return Recording(time, missing, tau=torque, kind="driven", gravity=gravity, payload=payload)
+def _recording(time: Array, torque: Array, gravity: tuple[float, float], payload: Payload, markers: int) -> Recording:
+    return Recording(
+        time,
+        np.full((time.size, markers, 2), np.nan),
+        tau=torque,
+        kind="driven",
+        gravity=gravity,
+        payload=payload.mass,
+        payload_offset=payload.offset,
+        payload_inertia=payload.inertia,
+    )
 
 
 def simulate_motion(
@@ -79,7 +87,7 @@ def simulate_motion(
     torque: ArrayLike | ControlLaw | None,
     duration: float | None,
     initial: ArrayLike | None,
-    payload: float,
+    payload: Payload,
 ) -> Simulation:
     """Simulate an arm as `Model.simulate` does under a torque of one's own.
 
@@ -95,9 +103,8 @@ def simulate_motion(
     """
     if not (is_number(duration) and duration > 0):
         raise ShapeError("duration", shown(duration), "a positive number of seconds")
-    require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
     chain, count = arm.chain, arm.chain.active.size
-    step = min(default_step(chain, Payload(payload)), duration / 20)
+    step = min(default_step(chain, payload), duration / 20)
     if torque is None or callable(torque):
         time = np.linspace(0.0, duration, 1 + int(np.ceil(duration / step)))
         torques = np.zeros((time.size, count))
@@ -143,7 +150,7 @@ def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) ->
         expected = f"(2, {n}) angles and rates of all joints, or (2, {count}) of active ones [rad, rad/s]"
         raise ShapeError("initial", state.shape if np.isfinite(state).all() else "a value that is not finite", expected)
     inputs, v = arm.inputs(recording), np.zeros(n)
-    _, _, _, q = linearise(chain, recording.payload_body, inputs.gravity, state[0])
+    _, _, _, q = linearise(chain, inputs.payload_body, inputs.gravity, state[0])
     v[chain.active] = state[1]
     return q, v
 

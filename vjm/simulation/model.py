@@ -16,6 +16,7 @@ from vjm.effects.effect import Effect
 from vjm.errors import ShapeError, is_number, is_whole, require
 from vjm.experiment.arrays import number_array
 from vjm.experiment.checks import DEFAULT_NOISE
+from vjm.experiment.payload import as_payload
 from vjm.experiment.records import as_rig, for_rig, require_recording
 from vjm.files import check_model_file, write_models
 from vjm.model.dynamics import Mechanism
@@ -23,6 +24,7 @@ from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import simulator_path
 from vjm.records import (
+    NO_PAYLOAD,
     REFERENCE,
     Array,
     Estimate,
@@ -131,7 +133,7 @@ class Model(Record):
         torque: ArrayLike | ControlLaw | None = None,
         duration: float | None = None,
         initial: ArrayLike | None = None,
-        payload: float = 0.0,
+        payload: float | Payload = NO_PAYLOAD,
     ) -> Simulation:
         """Simulate a recording open loop, or a motion under a torque of one's own.
 
@@ -146,7 +148,7 @@ class Model(Record):
             duration: of the motion [s].
             initial: (2, nv) angles [rad] and rates [rad/s] of all joints in the chain's order, or (2, n_a) of active
                 ones, the passive ones at rest under gravity; None: at rest at zero.
-            payload: known extra point mass on the tip [kg].
+            payload: known extra mass on the tip, a point [kg] or a `vjm.Payload`.
 
         Returns:
             The motion, at the torque's instants or, without any, at those of the integrator's default steps.
@@ -158,9 +160,9 @@ class Model(Record):
             SimulationDivergedError: the simulation left the finite numbers, or depends on its step however short.
         """
         if recording is None:
-            arm, noise = self.arm, self.marker_noise
-            return simulate_motion(arm, self.rig, noise, torque, duration, initial, payload)
-        if torque is not None or duration is not None or initial is not None or payload:
+            arm, noise, body = self.arm, self.marker_noise, as_payload(payload)
+            return simulate_motion(arm, self.rig, noise, torque, duration, initial, body)
+        if torque is not None or duration is not None or initial is not None or as_payload(payload).mass:
             raise ShapeError("simulate", "a recording and a torque of one's own", "one of them")
         return self.replay(recording).simulation
 
@@ -185,8 +187,8 @@ class Model(Record):
             ((run, converged),) = fit_initial_states([arm], [observed], [near], max_trials=FEW_TRIALS)
         return run.simulated_recording(converged)
 
-    def modes(self, payload: float = 0.0) -> Modes:
-        """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip.
+    def modes(self, payload: float | Payload = NO_PAYLOAD) -> Modes:
+        """Return natural frequencies, damping ratios and shapes, with an extra mass on the tip as of `simulate`.
 
         They are of the chain as effects change it, at rest under the rig's gravity and what effects add to that. Forces
         of effects are not in them: drag, structural damping, creep, hysteresis and dry friction add nothing to the
@@ -196,8 +198,7 @@ class Model(Record):
             InsufficientDataError: no position of rest was found.
             ShapeError: no mass.
         """
-        require("payload", payload, is_number(payload) and payload >= 0, "a mass, zero or positive [kg]")
-        return modes(self.arm.chain, Payload(payload), self.arm.gravity)
+        return modes(self.arm.chain, *self.arm.loads(as_payload(payload)))
 
     def pinocchio(self) -> PinocchioModel:
         """Return the chain as a `pin.Model` under the gravity that acts, with its stiffness and damping beside it."""

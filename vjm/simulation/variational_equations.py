@@ -30,19 +30,9 @@ from vjm.simulation.system import Trajectory, torque_at
 _SLOW_PHASE = 3.2
 _MAX_MODES = 16  # bounds the cost, which grows with the cube of the number of modes
 _OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below those 3 %
-# Fields of links on which rigid-body dynamics depends.
-_OF_BODIES = (
-    "lengths",
-    "masses",
-    "mass_centers",
-    "inertias",
-    "hub_inertia",
-    "root_inertia",
-    "payload",
-    "payload_offset",
-    "payload_inertia",
-    "rest_curvature",
-)
+# What of links rigid-body dynamics depends on: virtual links, and what is at either end.
+_OF_RODS = ("lengths", "masses", "mass_centers", "inertias", "rest_curvature")
+_OF_BODIES = (*_OF_RODS, "hub_inertia", "root_inertia", "payload_body")
 
 
 @dataclass(frozen=True)
@@ -141,9 +131,14 @@ class _EquationsOfMotion:
     def __init__(self, arm: Arm, motions: Motions) -> None:
         self.arm = arm
         self.driven = [arm.inputs(observed.recording) for observed in motions.observed]
-        self.gravity, payload = self.driven[0].gravity, self.driven[0].payload_body
-        self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
-        self.force = arm.forces(payload)
+        self.gravity, self.payload = self.driven[0].gravity, self.driven[0].payload_body
+        self.mechanism = mechanism_of(arm.chain, self.payload, self.gravity)
+        self.force = arm.forces(self.payload)
+
+    def has_bodies_of(self, other: Arm, motion: Motions) -> bool:
+        """Return True if another arm has the same bodies in these motions, and carries the same payload."""
+        payload = other.inputs(motion.observed[0].recording).payload_body
+        return payload == self.payload and have_equal_links(self.arm.chain, other.chain, _OF_BODIES)
 
     def inertial_torque(self, motion: Motions) -> Array:
         """Return M a + h (I, nv)."""
@@ -314,7 +309,7 @@ def coefficients_along(
     for k, (moved, varied) in enumerate(zip(perturbed, others, strict=True)):
         indices, added = np.arange(varied.a.shape[1]), _added_joints(chain, moved.arm.chain)
         # Accelerations that may jump, or peak in impacts, are not forces to be interpolated between instants.
-        changed = impulsive and (added.size > 0 or not have_equal_links(chain, moved.arm.chain, _OF_BODIES))
+        changed = impulsive and (added.size > 0 or not equations.has_bodies_of(moved.arm, motion))
         separate = indices if changed else added
         held = varied._replace(a=np.where(np.isin(indices, separate), 0.0, varied.a))
         nominal = (at_rest if changed else inertial, further_torque, state_rates)
@@ -452,7 +447,7 @@ def _parameter_derivatives(
             forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further_torque
         return forces / step, rates
     changed = _EquationsOfMotion(other_arm, motion)
-    unchanged = chain.size == other_chain.size and have_equal_links(chain, other_chain, _OF_BODIES)
+    unchanged = chain.size == other_chain.size and equations.has_bodies_of(other_arm, motion)
     if changed.gravity != equations.gravity or not unchanged:
         forces = forces + changed.inertial_torque(motion)[:, shared] - inertial
     if sum(other_arm.state_counts) > nz:  # internal states that only the perturbed arm has follow the motion as it is

@@ -208,7 +208,7 @@ def _residual_spectra(
     for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
         torque_spectrum = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
         drawn = [(torque_spectrum, "torque method", Color.TORQUE)] if torque_spectrum is not None else []
-        frequencies = modes(model.chain, comparison.recording.payload_body, model.arm.gravity).frequencies
+        frequencies = modes(model.chain, *model.arm.loads(comparison.recording.payload_body)).frequencies
         Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], frequencies)
         peak = _peak(model, comparison, spectrum, white)
         axes.set_title(
@@ -228,7 +228,7 @@ def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum, whi
     peak, line = float(spectrum.frequency[index]), float(spectrum.frequency[0])
     if index < 2:  # not even two periods in the recording
         return f"below {number(float(spectrum.frequency[2]), 2)} Hz (drift)"
-    frequencies = modes(model.chain, comparison.recording.payload_body, model.arm.gravity).frequencies
+    frequencies = modes(model.chain, *model.arm.loads(comparison.recording.payload_body)).frequencies
     nearest = int(np.argmin(np.abs(frequencies - peak)))
     mode = f" (mode {nearest + 1})" if abs(frequencies[nearest] - peak) < max(0.05 * peak, 2 * line) else ""
     return f"at {number(peak, 3)} Hz{mode}"
