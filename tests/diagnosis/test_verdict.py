@@ -220,15 +220,6 @@ def test_insufficient_data_give_reasons_and_nothing_else() -> None:
     assert diagnosis.remaining.p_value is None
 
 
-@pytest.mark.parametrize(
-    ("body", "doubted"), [({}, False), ({"payload": 0.05}, True), ({"payload": 0.05, "payload_offset": 0.01}, False)]
-)
-def test_a_payload_that_is_a_point_is_doubted_where_most_remains(body: dict[str, float], doubted: bool) -> None:
-    loaded, other = replace(recording("a.csv", "train"), **body), recording("b.csv", "train")
-    described = conclude(findings(residuals=CERTAIN, experiment=Experiment(RIG, (loaded, other, recording()))))
-    assert ("payload_inertia" in described.remaining.description) == doubted
-
-
 def test_what_remains_is_described() -> None:
     repeats = RepeatComparison(3.0, 1.0, NOISE[0])
     found = findings(residuals=CERTAIN, resemblance="most like a spring", repeats=repeats, needed=(CubicStiffness(),))

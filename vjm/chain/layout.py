@@ -8,7 +8,7 @@ out exactly (layout `fourth-order`). The layout `end-corrected` has constants fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.records import Array, Link, Rig
+from vjm.records import Array, Link, Payload, Rig
 
 LayoutName = Literal["fourth-order", "end-corrected", "half-ends", "equal"]
 LAYOUTS: tuple[str, ...] = get_args(LayoutName)
@@ -51,7 +51,7 @@ class Layout:
 
     lengths: Array  # (n + 1,) virtual links [m]
     cells: Array  # (n,) length of beam each virtual joint stands for [m]; its nominal stiffness is EI / cells
-    distal: Distal = "free"  # of moment, or `joined` to a further link
+    distal: Distal = "free"  # of moment, or `joined` to a further link or a body
 
 
 Cuts = Layout | LinkChain  # what says where a link is cut
@@ -64,7 +64,7 @@ def layout(length: float, n: int, name: str = DEFAULT_LAYOUT, distal: Distal = "
         length: of the flexible link [m].
         n: number of virtual joints, at least 1.
         name: `fourth-order`, `end-corrected`; `half-ends`: the end links are half as long; `equal`: all are equal.
-        distal: whether the distal end is free of moment, or joined to a further link.
+        distal: whether the distal end is free of moment, or joined to a further link or a body that is no point.
 
     Raises:
         ChoiceError: unknown name.
@@ -146,13 +146,24 @@ def section_inertia(thickness: float | None) -> float:
     return 0.0 if thickness is None else thickness**2 / 12
 
 
-def rig_layouts(rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT) -> list[Layout]:
-    """Cut each link of a rig at its number of virtual joints; only the last link's distal end is free of moment."""
+def rig_layouts(
+    rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT, payloads: Iterable[Payload] = ()
+) -> list[Layout]:
+    """Cut each link of a rig at its number of virtual joints.
+
+    Only the last link's distal end is free of moment: if neither the link's payload nor any of these, which recordings
+    may have beside it, is more than a point there.
+    """
     last = len(rig.links) - 1
+    tip: Distal = "joined" if any(map(_bends_tip, (rig.links[-1].payload_body, *payloads))) else "free"
     return [
-        layout(link.length, n, name, "free" if i == last else "joined")
+        layout(link.length, n, name, tip if i == last else "joined")
         for i, (link, n) in enumerate(zip(rig.links, joints, strict=True))
     ]
+
+
+def _bends_tip(payload: Payload) -> bool:
+    return payload.mass > 0 and (payload.offset != 0 or payload.inertia > 0)
 
 
 def nominal_chain(rig: Rig, cuts: Sequence[Cuts], kelvin_voigt: float = 0.0) -> Chain:

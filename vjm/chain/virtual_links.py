@@ -44,7 +44,7 @@ class LinkChain(Record):
     payload: _NotNegative = 0.0  # mass on the last virtual link [kg]
     payload_offset: float = 0.0  # distance of that mass's centre beyond the distal end, along that virtual link [m]
     payload_inertia: _NotNegative = 0.0  # of that mass about its centre [kg m^2]
-    distal: Distal = "free"  # the distal end carries no moment, or `joined`: another link is driven from there
+    distal: Distal = "free"  # the distal end carries no moment, or `joined`: it may, for a link or a body is there
     joint_stiffness: _NotNegative = 0.0  # of the active joint, back to zero [N m/rad]
     joint_damping: _NotNegative = 0.0  # of the active joint, viscous [N m s/rad]
     # Of a passive joint between the hub, or the ground, and virtual link 0 [N m/rad]; None: there is no such joint.

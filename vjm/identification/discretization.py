@@ -19,7 +19,7 @@ from vjm.chain.layout import LayoutName, rig_layouts, starting_chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
-from vjm.records import Array, Rig
+from vjm.records import Array, Payload, Rig
 from vjm.simulation.run import Run, simulate_runs
 
 # Of the chain that stands for a beam, whatever the layout of the fitted one: three times the joints hardly bring
@@ -168,7 +168,7 @@ def _extrapolation(point: Point, rig: Rig) -> float:
     finer chain leaves.
     """
     links = point.chain.links
-    cuts = rig_layouts(rig, [link.virtual_joints for link in links], _FINER_LAYOUT)
+    cuts = rig_layouts(rig, [link.virtual_joints for link in links], _FINER_LAYOUT, _payloads(point))
     alike = all(np.allclose(link.lengths, cut.lengths) for link, cut in zip(links, cuts, strict=True))
     return 1 / (1 - _refinement(point) ** -2) if alike else 1.0
 
@@ -177,9 +177,15 @@ def _finer(point: Point, rig: Rig, factor: int) -> TrajectoryProblem:
     """Return the problem of a chain with so many times the joints."""
     coarse = point.problem.parametrisation
     joints = [factor * link.virtual_joints for link in coarse.template.links]
-    template = starting_chain(rig, rig_layouts(rig, joints, _FINER_LAYOUT))
+    template = starting_chain(rig, rig_layouts(rig, joints, _FINER_LAYOUT, _payloads(point)))
     finer = Parametrisation(template, coarse.kind, coarse.hubs)
     return replace(point.problem, parametrisation=finer)
+
+
+def _payloads(point: Point) -> list[Payload]:
+    """Return what is on the tip, as the effects say: where it is no point, it bends the end of a chain made free."""
+    inputs = [run.arm.inputs(run.observed.recording) for run in point.runs]
+    return [*(run.chain.links[-1].payload_body for run in point.runs), *(driven.payload_body for driven in inputs)]
 
 
 def _predictions(finer: TrajectoryProblem, point: Point) -> list[Array]:

@@ -176,7 +176,8 @@ class TrainingData:
                 "in no training recording does the arm move by more than its sensors' noise",
                 "record it swinging or driven",
             )
-        orders = _choose_orders(rig, rig_layouts(rig, [3] * len(rig.links), layout), recordings, family)
+        payloads = [recording.payload_body for recording in recordings]
+        orders = _choose_orders(rig, rig_layouts(rig, [3] * len(rig.links), layout, payloads), recordings, family)
         joints = tuple(
             _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints, layout)
             for link, order in zip(rig.links, orders, strict=True)
@@ -185,7 +186,7 @@ class TrainingData:
             enough = all(len(link.markers) >= choice.joints for link, choice in zip(rig.links, joints, strict=True))
             angles = "curve" if parameters != "uniform" and enough else "curvature"
         robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
-        cuts = tuple(rig_layouts(rig, [choice.joints for choice in joints], layout))
+        cuts = tuple(rig_layouts(rig, [choice.joints for choice in joints], layout, payloads))
         shape = ShapeSettings(family, orders, angles, robust)
         return cls(rig, parameters, layout, cuts, joints, shape, derivatives, noise, recordings)._with_prepared()
 

@@ -139,7 +139,8 @@ class TrajectoryMethod:
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
         """Return the problem of uniform links with given numbers of joints."""
-        cuts = rig_layouts(self.data.rig, joints, self.data.layout)
+        payloads = [observed.recording.payload_body for observed in self.observed]
+        cuts = rig_layouts(self.data.rig, joints, self.data.layout, payloads)
         template = starting_chain(self.data.rig, cuts)
         return TrajectoryProblem(Parametrisation(template, "uniform", self.hubs), self.observed)
 
