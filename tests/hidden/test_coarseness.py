@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import vjm
+from tests.fine_beam.extended import Extended
 from tests.hidden.conftest import Plant
+from tests.hidden.rigs import physics_of
 from tests.hidden.test_finding import with_few
 from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.screen import Screen
@@ -67,5 +71,11 @@ def test_the_discretization_error_is_that_of_the_model_with_the_causes(plant: Pl
     loss, damping = cause.parameters["loss_factor"], diagnosis.model.estimates[1]
     assert loss.std is not None
     assert damping.std is not None
-    assert abs(loss.value - truth.effects[0].parameters["loss_factor"]) < 3 * loss.std
+    # The simulated beam's own loss is not the same in all modes.
+    without = replace(truth.setting.beam, kelvin_voigt_time=0.0)
+    roots = np.linalg.eigvals(Extended(without, physics_of(truth.effects)[0]).linear(0))
+    vibrations = sorted(roots[roots.imag > np.abs(roots.real)], key=abs)[:3]
+    true = np.array([-2 * root.real / abs(root) for root in vibrations])
+    assert true == pytest.approx(truth.effects[0].parameters["loss_factor"], rel=0.03)
+    assert true.min() - 3 * loss.std < loss.value < true.max() + 3 * loss.std
     assert abs(damping.value - truth.setting.beam.kelvin_voigt_time) < 3 * damping.std
