@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vjm.identification.robot import RobotIdentification, identify_stiffness
     from vjm.model.flexible import FlexibleModel
     from vjm.model.flexify import flexify
-    from vjm.records import Experiment, Link, Payload, Recording, Rig
+    from vjm.records import Experiment, Link, Recording, Rig
     from vjm.report.model_json import load_model
     from vjm.report.output import save
     from vjm.simulation.model import Model
@@ -33,7 +33,6 @@ __all__ = [
     "InputError",
     "Link",
     "Model",
-    "Payload",
     "Recording",
     "Rig",
     "RobotIdentification",
@@ -67,7 +66,7 @@ _HOMES = {
         "vjm.identification.robot": "RobotIdentification identify_stiffness",
         "vjm.model.flexible": "FlexibleModel",
         "vjm.model.flexify": "flexify",
-        "vjm.records": "Experiment Link Payload Recording Rig",
+        "vjm.records": "Experiment Link Recording Rig",
         "vjm.report.model_json": "load_model",
         "vjm.report.output": "save",
         "vjm.simulation.model": "Model",

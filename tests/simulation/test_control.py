@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-import vjm
 from tests.simulation.setups import arm_of, recording_of, rig_of, steel_link
 from vjm.effects import ActuatorLag, Cogging, PayloadBody, TorqueGain, TorqueSaturation
 from vjm.effects.effect import Effect
 from vjm.errors import ShapeError, SimulationDivergedError
 from vjm.model.dynamics import Mechanism
+from vjm.records import Payload
 from vjm.simulation.model import Model
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def test_a_control_law_closes_the_loop() -> None:
 
 def test_a_payload_may_be_a_body() -> None:
     """It moves as the link's own, and effects say what it really is."""
-    body = vjm.Payload(0.05, 0.04, 1e-4)
+    body = Payload(0.05, 0.04, 1e-4)
     chain = arm_of(steel_link(3, "revolute"))
     link = replace(chain.links[0], payload=body.mass, payload_offset=body.offset, payload_inertia=body.inertia)
     model, own = model_of(), replace(model_of(), chain=replace(chain, links=(link,)))
@@ -65,7 +65,7 @@ def test_a_payload_may_be_a_body() -> None:
     np.testing.assert_allclose(model.simulate(**taken, payload=body).q, own.simulate(**taken).q, atol=1e-9)
     assert model.modes(body).frequencies == pytest.approx(own.modes().frequencies)
     wrong = model_of(PayloadBody(link=0, offset=0.04))
-    known = vjm.Payload(0.05, 0.0, 1e-4)
+    known = (0.05, 0.0, 1e-4)
     np.testing.assert_allclose(wrong.simulate(**taken, payload=known).q, own.simulate(**taken).q, atol=1e-9)
     assert wrong.modes(known).frequencies == pytest.approx(own.modes().frequencies)
     assert wrong.modes().frequencies == pytest.approx(model.modes().frequencies)
@@ -155,8 +155,11 @@ def test_an_unstable_law_is_named() -> None:
         ({"duration": 1.0, "initial": [0.0, 0.0, 0.0]}, "initial"),
         ({"duration": 1.0, "payload": -1.0}, "payload"),
         ({"duration": 1.0, "payload": "heavy"}, "payload"),
-        ({"duration": 1.0, "payload": vjm.Payload(0.0, 0.1)}, "payload"),
-        ({"duration": 1.0, "payload": vjm.Payload(0.1, 0.0, -1.0)}, "payload"),
+        ({"duration": 1.0, "payload": (0.0, 0.1, 0.0)}, "payload"),
+        ({"duration": 1.0, "payload": (0.1, 0.0, -1.0)}, "payload"),
+        ({"duration": 1.0, "payload": (0.1, 0.0)}, "payload"),
+        ({"duration": 1.0, "payload": (0.1, "far", 0.0)}, "payload"),
+        ({"duration": 1.0, "payload": (0.1, np.nan, 0.0)}, "payload"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(arguments: dict[str, object], message: str) -> None:

@@ -122,13 +122,14 @@ def _trial_rigs() -> tuple[_TrialRig, ...]:
     beam = Link("beam", "revolute", 1.0, 0.44, 1.9, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)
     clamped = replace(beam, joint="clamped", hub_inertia=0.0)
     post = replace(clamped, name="post", length=0.6, markers=(0.3, 0.6))
-    # For each recording the torque's factor, gravity along x [m/s^2], and the bend of the tip [m].
-    driven = _trial_rig("driven", (beam,), [(1.0, 9.81, 0.0), (0.2, 0.0, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)])
-    fixed = _trial_rig("clamped", (clamped,), [(0.0, 0.0, 0.12), (0.0, 9.81, 0.04), (0.0, 0.0, 0.0)])
-    return driven, fixed, _trial_rig("arm", (post, beam), [(1.0, 9.81, 0.0)])
+    # For each recording the torque's factor, gravity along x [m/s^2], the bend of the tip [m], and a payload [kg].
+    of_hub = [(1.0, 9.81, 0.0, 0.05), (0.2, 0.0, 0.0, 0.0), (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.0, 0.0)]
+    of_clamp = [(0.0, 0.0, 0.12, 0.05), (0.0, 9.81, 0.04, 0.0), (0.0, 0.0, 0.0, 0.0)]
+    driven, fixed = _trial_rig("driven", (beam,), of_hub), _trial_rig("clamped", (clamped,), of_clamp)
+    return driven, fixed, _trial_rig("arm", (post, beam), [(1.0, 9.81, 0.0, 0.05)])
 
 
-def _trial_rig(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, float, float]]) -> _TrialRig:
+def _trial_rig(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, float, float, float]]) -> _TrialRig:
     rig, recordings, states = Rig(name, links), [], []
     chain = nominal_chain(rig, rig_layouts(rig, [3] * len(links)), kelvin_voigt=5e-4)
     time, last = np.arange(101) / 50, chain.links[-1]
@@ -136,11 +137,11 @@ def _trial_rig(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, 
     tau = np.repeat((wave * np.minimum(4 * time, 1.0))[:, None], len(rig.active_links), axis=1)
     arcs = last.joint_arcs / last.length
     shape = (3 * (1 - arcs) + 7 * np.cos(1.2 * np.pi * arcs)) * last.cells / last.length**2  # about the first two modes
-    for factor, gravity, bend in plans:
+    for factor, gravity, bend, payload in plans:
         kind: Kind = "driven" if factor else "decay" if bend else "quiet"
         markers = np.zeros((time.size, rig.marker_slices[-1].stop, 2))
         readings = (time, markers, np.zeros_like(tau), factor * tau)
-        recordings.append(Recording(*readings, kind=kind, role="train", gravity=(gravity, 0.0)))
+        recordings.append(Recording(*readings, kind=kind, role="train", gravity=(gravity, 0.0), payload=payload))
         states.append(np.zeros(2 * chain.size))
         states[-1][chain.passive_slices[-1]] = bend * shape
     return _TrialRig(rig, chain, tuple(recordings), tuple(states))

@@ -27,14 +27,16 @@ class Payload(NamedTuple):
 NO_PAYLOAD = Payload()
 
 
-def as_payload(value: float | Payload) -> Payload:
-    """Return what a user gives for a payload, a mass [kg] or a body, as a body.
+def as_payload(value: float | tuple[float, float, float]) -> Payload:
+    """Return what a user gives for a payload, a mass [kg] or a body's three numbers, as a body.
 
     Raises:
         ShapeError: it is neither.
     """
-    body = value if isinstance(value, Payload) else Payload(value)
-    valid = all(map(is_number, body)) and min(body.mass, body.inertia) >= 0 and (body.mass > 0 or body == NO_PAYLOAD)
-    expected = "a mass, zero or positive [kg], or a vjm.Payload of mass [kg], offset [m] and inertia [kg m^2]"
-    require("payload", value, valid, expected)
+    numbers = value if isinstance(value, tuple) else (value,)
+    are_numbers = len(numbers) in (1, 3) and all(map(is_number, numbers))
+    body = Payload(*numbers) if are_numbers else NO_PAYLOAD
+    possible = body == NO_PAYLOAD or (body.mass > 0 and body.inertia >= 0)
+    expected = "a mass, zero or positive [kg], or (mass [kg], offset [m], inertia [kg m^2]) of a body"
+    require("payload", value, are_numbers and possible, expected)
     return body

@@ -24,12 +24,10 @@ from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import simulator_path
 from vjm.records import (
-    NO_PAYLOAD,
     REFERENCE,
     Array,
     Estimate,
     Link,
-    Payload,
     Record,
     Recording,
     Rig,
@@ -133,7 +131,7 @@ class Model(Record):
         torque: ArrayLike | ControlLaw | None = None,
         duration: float | None = None,
         initial: ArrayLike | None = None,
-        payload: float | Payload = NO_PAYLOAD,
+        payload: float | tuple[float, float, float] = 0.0,
     ) -> Simulation:
         """Simulate a recording open loop, or a motion under a torque of one's own.
 
@@ -148,7 +146,8 @@ class Model(Record):
             duration: of the motion [s].
             initial: (2, nv) angles [rad] and rates [rad/s] of all joints in the chain's order, or (2, n_a) of active
                 ones, the passive ones at rest under gravity; None: at rest at zero.
-            payload: known extra mass on the tip, a point [kg] or a `vjm.Payload`.
+            payload: known extra mass on the tip, a point [kg]; or a body's mass [kg], distance of its centre beyond the
+                tip [m], and inertia about that [kg m^2].
 
         Returns:
             The motion, at the torque's instants or, without any, at those of the integrator's default steps.
@@ -187,7 +186,7 @@ class Model(Record):
             ((run, converged),) = fit_initial_states([arm], [observed], [near], max_trials=FEW_TRIALS)
         return run.simulated_recording(converged)
 
-    def modes(self, payload: float | Payload = NO_PAYLOAD) -> Modes:
+    def modes(self, payload: float | tuple[float, float, float] = 0.0) -> Modes:
         """Return natural frequencies, damping ratios and shapes, with an extra mass on the tip as of `simulate`.
 
         They are of the chain as effects change it, at rest under the rig's gravity and what effects add to that. Forces
