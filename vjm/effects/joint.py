@@ -68,7 +68,7 @@ class CoulombFriction(_DryFriction):
     clause = "dry friction of {torque} at the joint of '{link}'"
     assumptions = (
         "equal torque in both directions, at all angles and under all loads; no more at rest than in motion; "
-        "no presliding"
+        "no presliding; on the motor's side of a gear or a gap"
     )
     reference = (
         "D. Karnopp, Computer simulation of stick-slip friction in mechanical dynamic systems, J. Dynamic Systems, "
@@ -101,7 +101,7 @@ class Stribeck(_DryFriction):
     clause = "dry friction of {torque} at the joint of '{link}' that falls with speed, Stribeck velocity {speed}"
     assumptions = (
         "a fall as exp(-(rate / speed)^2), without memory; equal torque in both directions and at all angles; "
-        "no presliding"
+        "no presliding; on the motor's side of a gear or a gap"
     )
     reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
     distinguishing_experiment = "sweeps at several constant speeds, slow and fast"
@@ -119,7 +119,9 @@ class ViscousFriction(JointEffect):
 
     description = "viscous friction at the active joint"
     clause = "viscous friction of {coefficient} at the joint of '{link}'"
-    assumptions = "equal coefficient in both directions, at all angles and temperatures"
+    assumptions = (
+        "equal coefficient in both directions, at all angles and temperatures; on the motor's side of a gear or a gap"
+    )
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "joint motion over a wide range of speeds with little bending"
     abscissa = "joint_rate"
@@ -139,7 +141,7 @@ class JointSpring(JointEffect):
 
     description = "joint spring: a cable or hose that pulls the active joint back to zero"
     clause = "a cable or hose pulls the joint of '{link}' back to zero, {stiffness}"
-    assumptions = "constant stiffness, without loss; rest at the joint's zero"
+    assumptions = "constant stiffness, without loss; rest at the joint's zero; on the motor's side of a gear or a gap"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
     distinguishing_experiment = "slow sweeps in both directions over a wide joint range"
     abscissa = "joint_angle"
