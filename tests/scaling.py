@@ -19,6 +19,7 @@ def scaled(experiment: Experiment, length: float, mass: float, time: float) -> E
             bending_stiffness=torque * length * one.bending_stiffness,
             markers=tuple(length * marker for marker in one.markers),
             hub_inertia=mass * length**2 * one.hub_inertia,
+            hub_radius=length * one.hub_radius,
             payload=mass * one.payload,
             payload_offset=length * one.payload_offset,
             payload_inertia=mass * length**2 * one.payload_inertia,

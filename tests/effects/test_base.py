@@ -56,10 +56,13 @@ def test_kinetic_energy_is_that_of_the_bodies(arm: Chain, direction: float, seed
     """Of all of them, placed as on the ground and moved along with the table: what Lagrange's equations follow from."""
     chain = moving(arm, direction)
     q, v, _ = random_motion(chain, 1, seed)
-    centers = np.concatenate([link.mass_centers for link in arm.links])
+    centers, rods = np.concatenate([link.mass_centers for link in arm.links]), Rods(arm)
+    of_links = rods.owners >= 0
 
     def places(angles: Array, distances: Array) -> Array:
-        return drawn(arm, angles, distances)[0]
+        along = np.zeros(of_links.size)
+        along[of_links] = distances
+        return drawn(arm, angles, along)[0][of_links]
 
     centers_of_payloads = np.concatenate([link.lengths for link in arm.links])
     tips = np.cumsum([link.lengths.size for link in arm.links]) - 1
@@ -69,8 +72,7 @@ def test_kinetic_energy_is_that_of_the_bodies(arm: Chain, direction: float, seed
         ahead, behind = (places(q[0, 1:] + sign * STEP * v[0, 1:], distances) for sign in (1, -1))
         return (ahead - behind) / (2 * STEP) + v[0, 0] * np.array([np.cos(direction), np.sin(direction)])
 
-    rods = Rods(arm)
-    turning, _ = rods.motion(rods.directions(q[0, 1:]), v[0, 1:])
+    turning = rods.motion(rods.directions(q[0, 1:]), v[0, 1:])[0][of_links]
     energy = 0.5 * TABLE.mass * v[0, 0] ** 2
     masses, inertias = (np.concatenate([getattr(link, name) for link in arm.links]) for name in ("masses", "inertias"))
     energy += 0.5 * (masses @ (rates(centers) ** 2).sum(axis=1) + inertias @ turning**2)

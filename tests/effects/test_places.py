@@ -13,6 +13,7 @@ from vjm.records import Recording, Rig
 
 CLAMPED, HUB = Rig("post", (POST,)), Rig("hub", (LINK,))
 JOINT = {
+    "hub_radius",
     "coulomb_friction",
     "viscous_friction",
     "joint_spring",

@@ -35,6 +35,11 @@ def drawn(chain: Chain, q: Array, distances: Array) -> tuple[Array, Array]:
     for link in chain.links:
         for end in ("joint", "root"):
             pose = placed.get(f"{link.name}_{end}", pose)
+            # A gear's root joint is at the axis, a clamp's where the link begins.
+            if link.hub_radius and (end == "root") == (link.root_stiffness is not None and link.root_inertia > 0):
+                points.append(pose.act(np.array([distances[b], 0, 0]))[:2])
+                headings.append(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+                pose, b = pose * pin.SE3(np.eye(3), np.array([link.hub_radius, 0, 0])), b + 1
         for j, length in enumerate(link.lengths.tolist()):
             pose = placed[f"{link.name}_virtual_{j}"] if j else pose
             points.append(pose.act(np.array([distances[b], 0, 0]))[:2])

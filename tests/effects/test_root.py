@@ -11,7 +11,7 @@ from tests.effects.setups import LINK, POST, chain_of
 from tests.effects.test_forces import driven
 from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
-from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity
+from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity, HubRadius
 from vjm.model.modes import modes
 from vjm.records import NO_PAYLOAD, Rig
 from vjm.simulation.arm import Arm
@@ -88,6 +88,28 @@ def test_a_damper_acts_on_a_chain_as_on_a_continuous_beam(effect: Effect) -> Non
     chain, other = (with_damper - without for with_damper, without in zip(*shown, strict=True))
     assert np.abs(other).max() > 1e-4
     assert np.sqrt(np.mean((chain - other) ** 2)) < 0.02 * np.sqrt(np.mean(other**2))
+
+
+ROOTS = None, GearElasticity(stiffness=20.0, motor_share=0.35), ClampCompliance(compliance=0.05)
+
+
+@pytest.mark.parametrize("root", ROOTS, ids=["rigid", "gear", "clamp"])
+def test_a_hub_s_radius_acts_on_a_chain_as_on_a_continuous_beam(root: Effect | None) -> None:
+    """A gear is at the axis, a compliant clamp on the rim."""
+    time = np.linspace(0.0, 1.5, 751)
+    torque = 0.2 * np.sin(5 * time) + 0.08 * np.sin(17 * time) + 0.2 * np.sin(60 * time)
+    beam = Beam(LINK.length, LINK.mass, LINK.bending_stiffness, 1e-3, "revolute", LINK.hub_inertia)
+    others = {} if root is None else {f"{root.id}_{name}": value for name, value in root.values.items()}
+    shown: list[tuple[Array, Array]] = []
+    for radius in (0.15, 0.0):
+        (motion,) = simulate_runs(beam, Physics(hub_radius_radius=radius, **others), time, [Run(torque)])
+        arm = Arm.of(chain_of(LINK, n=16), [HubRadius(radius=radius), *([] if root is None else [root])])
+        rest = np.zeros(arm.chain.size)
+        (steps,) = simulate_trajectories([arm], [driven(torque, time)], [rest], [rest])
+        markers = MarkerArcs.of(Rig("hub", (LINK,))).positions(arm.chain, steps.angles(time))
+        shown.append((markers.reshape(time.size, -1), motion.positions(LINK.markers).reshape(time.size, -1)))
+    chain, other = (with_hub - without for with_hub, without in zip(*shown, strict=True))
+    assert np.sqrt(np.mean((chain - other) ** 2)) < 1e-4 < 0.05 * np.sqrt(np.mean(other**2))
 
 
 def test_springs_at_one_root_are_in_series_in_any_order() -> None:

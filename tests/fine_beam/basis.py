@@ -18,7 +18,8 @@ class Basis:
 
     Attributes:
         length: beam length, m.
-        nodes: arc lengths, m, (N,); one of no weight may follow, at the distal end.
+        nodes: arc lengths, m, (N,); one of no weight may follow, at the distal end, and one may come first, at zero,
+            whose weight is a rigid hub's radius.
         weights: quadrature weights, m, (N,).
         heading: B_m at the nodes, (N, m); B_m(0) = 0.
         curvature: dB_m/ds at the nodes, 1/m, (N, m); zero at the distal end where that carries no moment.
@@ -31,13 +32,17 @@ class Basis:
     heading: Array
     curvature: Array
     cumulative: Array
+    hub: float = 0.0  # radius, m
 
     def integrals_to(self, arc_lengths: Array) -> Array:
         """Rows that take nodal values of f to its integral from 0 to each arc length, m, (k, N)."""
         abscissae = 2.0 * np.asarray(arc_lengths, dtype=float) / self.length - 1.0
-        count = int(np.count_nonzero(self.weights))
+        hubs = int(self.hub != 0.0)
+        count = int(np.count_nonzero(self.weights)) - hubs
         rows = 0.5 * self.length * _integrals(abscissae, count)
-        return np.pad(rows, ((0, 0), (0, len(self.nodes) - count)))
+        padded = np.pad(rows, ((0, 0), (hubs, len(self.nodes) - count - hubs)))
+        padded[:, :hubs] = self.hub
+        return padded
 
     def with_tip_node(self) -> Basis:
         """The same with one more node, at the distal end and of no weight."""
@@ -48,6 +53,18 @@ class Basis:
             heading=np.vstack([self.heading, self.weights @ self.curvature]),
             curvature=np.vstack([self.curvature, np.zeros(self.curvature.shape[1])]),
             cumulative=np.pad(np.vstack([self.cumulative, self.weights]), ((0, 0), (0, 1))),
+        )
+
+    def with_hub(self, radius: float) -> Basis:
+        """The same on the rim of a hub: one more node, at the joint, with the hub's heading; places are from there."""
+        return Basis(
+            length=self.length,
+            nodes=np.append(0.0, self.nodes),
+            weights=np.append(radius, self.weights),
+            heading=np.pad(self.heading, ((1, 0), (0, 0))),
+            curvature=np.pad(self.curvature, ((1, 0), (0, 0))),
+            cumulative=np.pad(np.hstack([np.full((len(self.nodes), 1), radius), self.cumulative]), ((1, 0), (0, 0))),
+            hub=radius,
         )
 
 

@@ -37,6 +37,7 @@ class Beam:
         kelvin_voigt_time: s; the bending moment is EI (kappa + time * d kappa / dt).
         joint: "revolute" (a hub that turns under torque) or "clamped" (along x).
         hub_inertia: kg m^2 about the joint axis, revolute only.
+        hub_radius: m, from the joint axis to the beam, revolute only, and not for `simulate`.
         payload: kg, point mass at the distal end.
         gravity: m/s^2, (gx, gy) in the base frame.
     """
@@ -48,6 +49,7 @@ class Beam:
     joint: Literal["revolute", "clamped"] = "clamped"
     hub_inertia: float = 0.0
     payload: float = 0.0
+    hub_radius: float = 0.0
     gravity: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:

@@ -59,9 +59,11 @@ class Extended:
         size += int(tip_moment)  # up to the same degree
         basis: Basis = make_basis(beam.length, size, nodes, tip_moment)
         basis = basis.with_tip_node() if any(body.offset for body in on_tip) else basis
+        self.revolute = beam.joint == "revolute"
+        hub = (beam.hub_radius + physics.hub_radius_radius) * self.revolute
+        basis = basis.with_hub(hub) if hub else basis
         nodes = len(basis.nodes)
         self.beam, self.physics, self.basis = beam, physics, basis
-        self.revolute = beam.joint == "revolute"
         self.motor = self.revolute and physics.has_motor
         self.root = physics.clamp_compliance_compliance > 0.0
         turning = int(self.revolute) + int(self.root)
@@ -69,6 +71,8 @@ class Extended:
         self.heading: Array = np.hstack([still, np.ones((nodes, turning)), basis.heading, table])
         self.curvature: Array = np.hstack([still, np.zeros((nodes, turning)), basis.curvature, table])
         self.bending = slice(turning + int(self.motor), turning + int(self.motor) + size)
+        if hub and self.root:
+            self.heading[0, self.bending.start - 1] = 0.0  # the hub stays as the root turns in its clamp
         direction = physics.base_compliance_direction
         self.slide: Array = np.array([np.cos(direction), np.sin(direction)])
         self.size: int = self.heading.shape[1]
@@ -76,6 +80,7 @@ class Extended:
         # Mass per length, kg/m, and bending stiffness, N m^2, at the nodes.
         thickness = 1.0 + physics.taper_taper * (0.5 - basis.nodes / beam.length)
         self.line: Array = beam.mass / beam.length * thickness
+        self.line[: int(hub != 0.0)] = 0.0  # a hub's own mass is in its inertia
         self.section: Array = beam.bending_stiffness * thickness**3
         self.tip_heading: Array = self._tip_heading()
         self.gravity: Array = np.add(beam.gravity, (physics.in_plane_gravity_gx, physics.in_plane_gravity_gy))

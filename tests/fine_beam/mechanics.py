@@ -25,6 +25,8 @@ class Mechanics:
 
     def __init__(self, beam: Beam, numerics: Numerics) -> None:
         basis: Basis = make_basis(beam.length, numerics.basis_size, numerics.node_count)
+        if beam.hub_radius:
+            raise ValueError("a beam on the rim of a hub is for `simulate_runs`")
         self.beam = beam
         self.basis = basis
         self.has_hub = beam.joint == "revolute"

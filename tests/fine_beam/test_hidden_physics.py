@@ -67,6 +67,18 @@ def test_a_known_payload_is_the_body_that_it_is() -> None:
     assert rms(point, known) > 5e-4
 
 
+def test_a_rigid_link_on_a_hub_turns_as_a_body_about_the_axis() -> None:
+    radius, length, mass = 0.2, RIGID.length, RIGID.mass
+    motion = alone(RIGID, Physics(hub_radius_radius=radius), Run(drive(TIME), payload=Body(0.05)))
+    inertia = RIGID.hub_inertia + mass * (length**2 / 12 + (radius + length / 2) ** 2) + 0.05 * (radius + length) ** 2
+    turned = cumulative_simpson(cumulative_simpson(drive(TIME), x=TIME, initial=0.0), x=TIME, initial=0.0) / inertia
+    np.testing.assert_allclose(motion.theta, turned, atol=2e-3 * np.abs(turned).max())
+    ends = motion.positions([0.0, length])
+    heading = np.stack([np.cos(motion.theta), np.sin(motion.theta)], axis=-1)
+    np.testing.assert_allclose(ends[:, 0], radius * heading, atol=1e-12)
+    np.testing.assert_allclose(ends[:, 1], (radius + length) * heading, atol=1e-3)
+
+
 def test_gravity_is_that_of_the_plain_beam() -> None:
     tilted = replace(HUB, gravity=(0.1, -0.2))
     motion = alone(HUB, Physics(in_plane_gravity_gx=0.1, in_plane_gravity_gy=-0.2), Run(drive(TIME)))
@@ -271,8 +283,9 @@ UNDAMPED = replace(HUB, kelvin_voigt_time=0.0)
         Physics(clamp_compliance_compliance=5e-3),
         Physics(tip_payload_mass=0.05, tip_payload_offset=0.1, tip_payload_radius_of_gyration=0.05),
         table(stiffness=500.0, mass=2.0, direction=0.9, damping_ratio=0.0),
+        Physics(hub_radius_radius=0.1, clamp_compliance_compliance=5e-3),
     ],
-    ids=["gear", "clamp", "payload", "table"],
+    ids=["gear", "clamp", "payload", "table", "hub"],
 )
 def test_energy_is_kept_where_nothing_takes_it(physics: Physics) -> None:
     motion = alone(UNDAMPED, physics, Run(tip_amplitudes=(0.05, 0.005), payload=Body(0.02, 0.06, 5e-5)), step=1e-3)

@@ -178,6 +178,7 @@ def write_hidden(
     link |= {"mass": units.mass * beam.mass, "markers": [units.length * arc for arc in setting.markers]}
     powers = {"bending_stiffness": (3, 1, -2), "hub_inertia": (2, 1, 0)}
     link |= {key: units.of(*powers[key]) * value for key, value in setting.nominal.items()}
+    link |= {"hub_radius": units.length * beam.hub_radius} if beam.hub_radius else {}
     sensors = {"marker_noise": units.length * camera.noise}
     sensors |= {"encoder_noise": setting.encoder.noise} if setting.turns else {}
     entries = [_written(each.plan.entry, units) for each in shown]

@@ -82,7 +82,8 @@ def setting_of(rig: Rig, seed: int) -> Setting:
         setting, hub = _any_arm(setting, np.random.default_rng([seed, 6]))
     if rig in ("clamped", "clamped_arm"):
         return setting
-    beam = replace(setting.beam, joint="revolute", hub_inertia=float(hub))
+    radius = 0.1 * random.uniform() if rig == "arm" else 0.0
+    beam = replace(setting.beam, joint="revolute", hub_inertia=float(hub), hub_radius=radius)
     return replace(setting, beam=beam, nominal=nominal | {"hub_inertia": float(hub * hub_error)})
 
 

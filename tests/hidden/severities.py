@@ -75,6 +75,7 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "camera_vibration": {"amplitude": Size(0.0004)},
     "timestamp_jitter": {"jitter": Size(0.002)},
     "payload_body": {"offset": Size(0.02, True)},
+    "hub_radius": {"radius": Size(0.005)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
 # Everyday size of vectors, whose two components come from one length and one direction.
@@ -97,6 +98,7 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("tip_payload", "radius_of_gyration"): (1, 0, 0),
     ("tip_payload", "offset"): (1, 0, 0),
     ("payload_body", "offset"): (1, 0, 0),
+    ("hub_radius", "radius"): (1, 0, 0),
     ("payload_body", "radius_of_gyration"): (1, 0, 0),
     ("in_plane_gravity", "gx"): (1, 0, -2),
     ("in_plane_gravity", "gy"): (1, 0, -2),
@@ -140,7 +142,16 @@ EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation")
 _ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
 _JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one; none has a known payload.
-ONLY_WITH_HUB = ("payload_body", *_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
+ONLY_WITH_HUB = (
+    "payload_body",
+    "hub_radius",
+    *_JOINT,
+    "gear_elasticity",
+    "backlash",
+    "time_offset",
+    "clock_scale",
+    "encoder_offset",
+)
 
 # What no recording of the rig, or next to none, can tell apart.
 _ALWAYS = (("camera_rotation", "rest_curvature", "encoder_offset"),)

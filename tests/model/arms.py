@@ -25,6 +25,7 @@ def one_joint_link(joint: Literal["revolute", "clamped"], **changes: object) -> 
         "damping": [0.019],
         "cells": [0.9],
         "hub_inertia": 0.053,
+        "hub_radius": 0.047 if joint == "revolute" else 0.0,
         "payload": 0.071,
         "payload_offset": 0.11,
         "payload_inertia": 0.0023,
@@ -42,11 +43,11 @@ def arms(draw: st.DrawFn, point_masses: bool = True) -> Chain:
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     links = []
     for i in range(draw(st.integers(1, 3))):
-        n = draw(st.integers(1, 4))
+        n, joint = draw(st.integers(1, 4)), draw(st.sampled_from(["revolute", "clamped"]))
         links.append(
             LinkChain(
                 name=f"link_{i}",
-                joint=draw(st.sampled_from(["revolute", "clamped"])),
+                joint=joint,
                 lengths=rng.uniform(0.1, 0.6, n + 1),
                 masses=rng.uniform(0.05, 0.9, n + 1),
                 mass_centers=rng.uniform(0.0, 0.6, n + 1),
@@ -58,6 +59,7 @@ def arms(draw: st.DrawFn, point_masses: bool = True) -> Chain:
                 payload=rng.uniform(0.01, 0.3) * point_masses,
                 payload_offset=rng.uniform(-0.2, 0.2) * point_masses,
                 payload_inertia=rng.uniform(0.0, 0.02) * point_masses,
+                hub_radius=draw(st.sampled_from([0.0, 0.05])) if joint == "revolute" else 0.0,
             )
         )
     return Chain("arm", tuple(links), (float(rng.uniform(-9, 9)), float(rng.uniform(-9, 9))))

@@ -56,6 +56,7 @@ def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
         root_stiffness=draw(positive(0.0, 1e5)) if rooted else None,
         root_damping=draw(positive(0.0, 0.1)) if rooted else 0.0,
         root_inertia=draw(st.sampled_from([0.0, 0.003])),
+        hub_radius=draw(st.sampled_from([0.0, 0.04])) if joint == "revolute" else 0.0,
         rest_curvature=draw(st.just(0.0) | positive(-2.0, 2.0)),
         width=draw(st.none() | positive(1e-3, 0.1)),
         thickness=draw(st.none() | positive(1e-4, 0.1)),
@@ -99,7 +100,7 @@ def plain_chain() -> Chain:
 def extended_chain() -> Chain:
     """Two links with everything that can be at a joint, the second one clamped."""
     root: dict[str, object] = {"root_stiffness": 60.0, "root_damping": 0.07, "root_inertia": 0.004}
-    bent = plain_link(**root, joint_stiffness=0.05, joint_damping=0.006, rest_curvature=-0.2)
+    bent = plain_link(**root, hub_radius=0.03, joint_stiffness=0.05, joint_damping=0.006, rest_curvature=-0.2)
     clamped = plain_link("fore", joint="clamped", hub_inertia=0.0, root_stiffness=200.0, rest_curvature=0.3)
     return Chain("arm", (bent, clamped), (0.0, -9.81))
 
@@ -139,10 +140,14 @@ class Plane:
         hub = link.hub_inertia
         if link.joint == "revolute":
             self._turn()
+        before, start = 0.0, link.hub_radius
+        if link.root_stiffness is not None and not link.root_inertia:
+            before, start = link.hub_radius, 0.0  # a compliant clamp, at the hub's rim; a gear is in the hub
         if link.root_stiffness is not None:
             self.places[f"{link.name}_hub"] = (self.point, self.angle)
             self.bodies.append((0.0, hub, self.point, len(self.pivots)))
             hub = 0.0
+            self.point = self._ahead(before)
             self._turn()
         for j in range(link.virtual_joints + 1):
             if j:
@@ -150,9 +155,10 @@ class Plane:
                 self._turn()
             self.places[f"{link.name}_virtual_{j}_link"] = (self.point, self.angle)
             turning = link.inertias[j] + (hub + link.root_inertia if j == 0 else 0.0)
-            center = self._ahead(link.mass_centers[j])
+            start = start if j == 0 else 0.0
+            center = self._ahead(start + link.mass_centers[j])
             self.bodies.append((link.masses[j], turning, center, len(self.pivots)))
-            self.point = self._ahead(link.lengths[j])
+            self.point = self._ahead(start + link.lengths[j])
         self.places[f"{link.name}_tip"] = (self.point, self.angle)
         self.bodies.append((link.payload, link.payload_inertia, self._ahead(link.payload_offset), len(self.pivots)))
 

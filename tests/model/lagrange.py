@@ -56,10 +56,10 @@ class TwoBodies:
         p, first = (sum(m * r**k for m, r in carried) for k in (0, 1))
         second = sum(m * r**2 for m, r in carried) + link.payload_inertia + payload.inertia
         return cls(
-            alpha=link.hub_inertia + i0 + m0 * c0**2 + (m1 + p) * l0**2,
+            alpha=link.hub_inertia + i0 + m0 * (link.hub_radius + c0) ** 2 + (m1 + p) * (link.hub_radius + l0) ** 2,
             beta=i1 + m1 * c1**2 + second,
-            gamma=l0 * (m1 * c1 + first),
-            mu0=m0 * c0 + (m1 + p) * l0,
+            gamma=(link.hub_radius + l0) * (m1 * c1 + first),
+            mu0=m0 * (link.hub_radius + c0) + (m1 + p) * (link.hub_radius + l0),
             mu1=m1 * c1 + first,
             stiffness=float(link.stiffness[0]),
             damping=float(link.damping[0]),
@@ -93,6 +93,10 @@ def _segments(chain: Chain) -> tuple[Array, list[tuple[float, float, Array]]]:
             if j > 0 or link.joint == "revolute":
                 heading[coordinate] = 1.0
                 coordinate += 1
+            if j == 0:  # a hub of its radius, without mass
+                headings.append(heading)
+                bodies.append((0.0, 0.0, [*lengths, 0.0]))
+                lengths.append(link.hub_radius)
             headings.append(heading)
             inertia = link.inertias[j] + (link.hub_inertia if j == 0 else 0.0)
             bodies.append((link.masses[j], inertia, [*lengths, link.mass_centers[j]]))

@@ -114,9 +114,11 @@ def test_yourdfpy_finds_joints_frames_and_masses(chain: Chain, seed: int) -> Non
         ends = [robot.joint_map[f"{link.name}_virtual_{j}"] for j in range(1, link.masses.size)]
         ends.append(robot.joint_map[f"{link.name}_tip_mount"])
         assert [body.mass for body in bodies] == link.masses.tolist()
-        assert [body.origin[0, 3] for body in bodies] == link.mass_centers.tolist()
+        at_rim = link.root_stiffness is not None and link.root_inertia == 0.0
+        first = np.r_[0.0 if at_rim else link.hub_radius, np.zeros(link.virtual_joints)]
+        assert [body.origin[0, 3] for body in bodies] == (first + link.mass_centers).tolist()
         assert [body.inertia[2, 2] for body in bodies[1:]] == link.inertias[1:].tolist()
-        assert [joint.origin[0, 3] for joint in ends] == link.lengths.tolist()
+        assert [joint.origin[0, 3] for joint in ends] == (first + link.lengths).tolist()
         assert (f"{link.name}_payload" in robot.link_map) == bool(link.payload)
         if link.payload:
             carried = robot.link_map[f"{link.name}_payload"].inertial
@@ -140,7 +142,7 @@ def test_extension_holds_the_rest_to_the_last_bit(chain: Chain) -> None:
         numbers = {key: float(value) for key, value in element.attrib.items() if key not in ("name", "distal")}
         assert numbers.pop("first_inertia") == link.inertias[0]
         assert numbers.pop("hub_inertia") == link.hub_inertia
-        for field in ("joint_stiffness", "root_inertia", "rest_curvature"):
+        for field in ("joint_stiffness", "hub_radius", "root_inertia", "rest_curvature"):
             assert numbers.pop(field, 0.0) == getattr(link, field)
         for field in ("width", "thickness"):
             assert numbers.pop(field, None) == getattr(link, field)

@@ -127,17 +127,20 @@ def marker_poses(
         if link.joint == "revolute":
             heading = heading + angles[..., part.stop - link.coordinates]
         phi, root_angle = _shape_angles(link, part, angles)
-        curve = curve_map(link, arcs[i])
-        position = curve.positions(phi, root_angle, link.rest_curvature)
+        curve, root = curve_map(link, arcs[i]), _root_position(link, root_angle)
+        position = root[..., None, :] + curve.positions(phi, root_angle, link.rest_curvature)
         tangent = root_angle[..., None] + phi @ curve.heading.T + link.rest_curvature * curve.arcs
         if not in_link_frame[i] or (i == 0 and link.joint == "clamped"):
             position = origin[..., None, :] + rotate(position, heading[..., None])
             tangent = tangent + heading[..., None]
+        else:  # whose origin is where the proximal end of the straight link would be
+            position = position - np.array([link.hub_radius, 0.0])
         positions.append(position)
         headings.append(tangent)
         if i + 1 < len(chain.links):
             tip = curve_map(link, [link.length])
-            origin = origin + rotate(tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :], heading)
+            end = root + tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :]
+            origin = origin + rotate(end, heading)
             heading = heading + root_angle + phi @ tip.heading[0] + link.rest_curvature * link.length
     return np.concatenate(positions, axis=-2), np.concatenate(headings, axis=-1)
 
@@ -161,18 +164,20 @@ def marker_pose_slopes(
             turning = turning + directions[part.stop - link.coordinates]
         shape = *_shape_angles(link, part, q), link.rest_curvature
         bending, root_turning = _shape_angles(link, part, directions.T)
-        curve = curve_map(link, arcs[i])
-        position = curve.slopes(curve.node_heading @ bending.T + root_turning, *shape)
+        curve, root = curve_map(link, arcs[i]), _root_position(link, shape[1])[..., None, :]
+        # Of the proximal end, which a root joint before it turns.
+        across = link.radii[1] * np.stack([-np.sin(shape[1]), np.cos(shape[1])], axis=-1)[..., None, :, None]
+        position = across * root_turning + curve.slopes(curve.node_heading @ bending.T + root_turning, *shape)
         tangent = curve.heading @ bending.T + root_turning
         if not in_link_frame[i] or (i == 0 and link.joint == "clamped"):
-            position = shift + _rotated_slopes(curve.positions(*shape), position, heading, turning)
+            position = shift + _rotated_slopes(root + curve.positions(*shape), position, heading, turning)
             tangent = tangent + turning
         positions.append(position)
         headings.append(tangent)
         if i + 1 < len(chain.links):
             tip = curve_map(link, [link.length])
-            slopes = tip.slopes(tip.node_heading @ bending.T + root_turning, *shape)
-            shift = shift + _rotated_slopes(tip.positions(*shape), slopes, heading, turning)
+            slopes = across * root_turning + tip.slopes(tip.node_heading @ bending.T + root_turning, *shape)
+            shift = shift + _rotated_slopes(root + tip.positions(*shape), slopes, heading, turning)
             heading = heading + shape[1] + shape[0] @ tip.heading[0] + link.rest_curvature * link.length
             turning = turning + root_turning + bending @ tip.heading[0]
     return np.concatenate(positions, axis=-3), np.concatenate(headings)
@@ -182,6 +187,12 @@ def _shape_angles(link: LinkChain, part: slice, q: Array) -> tuple[Array, Array]
     """Return the angles of a link's virtual joints (..., n) and of its root (...), zero where it has none."""
     root = np.zeros(q.shape[:-1]) if link.root_stiffness is None else q[..., part.start - 1]
     return q[..., part], root
+
+
+def _root_position(link: LinkChain, root_angle: Array) -> Array:
+    """Return where a link's proximal end is (..., 2) in its active joint's frame [m], by its root's angle (...)."""
+    before, after = link.radii
+    return np.stack([before + after * np.cos(root_angle), after * np.sin(root_angle)], axis=-1)
 
 
 def _rotated_slopes(positions: Array, slopes: Array, angle: Array, turning: Array) -> Array:

@@ -128,6 +128,7 @@ def uniform_chain(link: Link, cuts: Cuts, kelvin_voigt: float = 0.0) -> LinkChai
         damping=stiffness * kelvin_voigt,
         cells=cuts.cells,
         hub_inertia=link.hub_inertia,
+        hub_radius=link.hub_radius,
         payload=link.payload,
         payload_offset=link.payload_offset,
         payload_inertia=link.payload_inertia,

@@ -41,13 +41,15 @@ class LinkChain(Record):
     damping: _Values  # (n,) D of each virtual joint [N m s/rad]
     cells: _Values  # (n,) length of beam whose bending each virtual joint stands for [m]: phi_j = cells_j kappa(s_j)
     hub_inertia: _NotNegative = 0.0  # about the active joint's axis [kg m^2]
+    hub_radius: float = 0.0  # distance of the proximal end from the active joint's axis [m]
     payload: _NotNegative = 0.0  # mass on the last virtual link [kg]
     payload_offset: float = 0.0  # distance of that mass's centre beyond the distal end, along that virtual link [m]
     payload_inertia: _NotNegative = 0.0  # of that mass about its centre [kg m^2]
     distal: Distal = "free"  # the distal end carries no moment, or `joined`: it may, for a link or a body is there
     joint_stiffness: _NotNegative = 0.0  # of the active joint, back to zero [N m/rad]
     joint_damping: _NotNegative = 0.0  # of the active joint, viscous [N m s/rad]
-    # Of a passive joint between the hub, or the ground, and virtual link 0 [N m/rad]; None: there is no such joint.
+    # Of a passive joint between the hub, or the ground, and virtual link 0 [N m/rad]; None: there is no such joint. It
+    # is at the proximal end, or where a part of the hub turns with virtual link 0 at the active joint, as in a gear.
     root_stiffness: _NotNegative | None = None
     root_damping: _NotNegative = 0.0  # of that joint [N m s/rad]
     root_inertia: _NotNegative = 0.0  # of what turns with virtual link 0 beyond that joint, about its axis [kg m^2]
@@ -72,6 +74,8 @@ class LinkChain(Record):
             value = getattr(self, field)
             if value is not None and not 0 <= value < np.inf:
                 raise ShapeError(f"{self.name}.{field}", value, "zero or a positive number")
+        if self.joint == "clamped" and self.hub_radius:
+            raise ShapeError(f"{self.name}.hub_radius", self.hub_radius, "zero, of a clamped link")
         for field in ("payload_offset", "payload_inertia"):
             if getattr(self, field) and not self.payload:
                 raise ShapeError(f"{self.name}.{field}", getattr(self, field), "zero, without a payload")
@@ -109,6 +113,12 @@ class LinkChain(Record):
     def carried_inertia(self) -> float:
         """Inertia of what turns with virtual link 0 [kg m^2]: the root's, and the hub's where no joint is between."""
         return self.root_inertia + (self.hub_inertia if self.root_stiffness is None else 0.0)
+
+    @property
+    def radii(self) -> tuple[float, float]:
+        """Parts of the hub's radius before and after the root joint [m]."""
+        geared = self.root_stiffness is not None and self.root_inertia > 0
+        return (0.0, self.hub_radius) if geared else (self.hub_radius, 0.0)
 
     @property
     def bending_stiffness(self) -> float:

@@ -23,6 +23,7 @@ from vjm.effects.joint import BaseCompliance as BaseCompliance
 from vjm.effects.joint import ClampCompliance as ClampCompliance
 from vjm.effects.joint import CoulombFriction as CoulombFriction
 from vjm.effects.joint import GearElasticity as GearElasticity
+from vjm.effects.joint import HubRadius as HubRadius
 from vjm.effects.joint import JointSpring as JointSpring
 from vjm.effects.joint import Stribeck as Stribeck
 from vjm.effects.joint import TorqueGain as TorqueGain

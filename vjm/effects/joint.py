@@ -189,6 +189,27 @@ class TorqueOffset(ColumnEffect):
 
 
 @dataclass(frozen=True)
+class HubRadius(JointEffect):
+    """A link that begins on the rim of a hub, at a radius from the joint's axis beyond the one that is known."""
+
+    # Typical: the marker next to the hub is off by as much. No hub is larger than half its link.
+    radius: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+
+    description = "radius of the hub: the link begins away from the joint's axis"
+    clause = "'{link}' begins {radius} further from its joint's axis than known"
+    assumptions = "a rigid hub; a straight link that begins in the direction from the axis"
+    reference = "P. K. C. Wang and J.-D. Wei, Vibrations in a moving flexible robot arm, J. Sound Vib. 116(1), 1987"
+    distinguishing_experiment = "recordings at several hub angles"
+    abscissa = "marker"
+    on_drive = False
+    in_urdf = True
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with a larger hub."""
+        return self.with_link(chain, hub_radius=self.link_of(chain).hub_radius + self.radius)
+
+
+@dataclass(frozen=True)
 class ClampCompliance(LinkEffect):
     """A clamp in which the link's root turns, on a spring with a damper beside it.
 

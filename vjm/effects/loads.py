@@ -173,23 +173,30 @@ class ExternalTone(WaveEffect, _TipEffect):
 
 
 class Rods:
-    """The virtual links of all links of a chain, from the base outwards.
+    """The virtual links of all links of a chain, and the hubs before them that have a radius, from the base outwards.
 
     Products are by `dot`: of few motions at once, as an integrator has, it takes half the time of `@`.
 
     Attributes:
         lengths: (B,) [m].
-        owners: (B,) index of each rod's link.
+        owners: (B,) index of each rod's link; -1 for a hub.
     """
 
     def __init__(self, chain: Chain) -> None:
-        self.lengths = np.concatenate([link.lengths for link in chain.links])
-        self.owners = np.repeat(range(len(chain.links)), [link.lengths.size for link in chain.links])
+        hubs = [np.array([link.hub_radius] if link.hub_radius else []) for link in chain.links]
+        rods = [np.r_[hub, link.lengths] for hub, link in zip(hubs, chain.links, strict=True)]
+        counts = np.array([part.size for part in rods])
+        self.lengths = np.concatenate(rods)
+        self.owners = np.repeat(range(counts.size), counts)
+        self.owners[(np.cumsum(counts) - counts)[[hub.size > 0 for hub in hubs]]] = -1
         # Derivatives (nv, B) of the rods' headings by the joints' angles, and bends (B,) between rods at zero [rad].
         self._turns, bends = np.zeros((chain.size, self.lengths.size)), np.zeros(self.lengths.size)
         rod = 0
-        for link, part in zip(chain.links, chain.passive_slices, strict=True):
+        for hub, link, part in zip(hubs, chain.links, chain.passive_slices, strict=True):
             self._turns[part.stop - link.coordinates : part.start, rod:] = 1.0
+            if hub.size and link.root_stiffness is not None and link.radii[0]:
+                self._turns[part.start - 1, rod] = 0.0  # the root joint is beyond the hub
+            rod += hub.size
             for j, coordinate in enumerate(range(part.start, part.stop), start=1):
                 self._turns[coordinate, rod + j :] = 1.0
                 bends[rod + j] = link.rest_curvature * float(link.cells[j - 1])

@@ -227,7 +227,8 @@ def _impulse_errors(knots: Array, torque: Array, step: float, count: int, inner:
 
 def _inertia(link: Link) -> float:
     """Return the inertia of a straight link and its hub about its joint [kg m^2], the least that its torque moves."""
-    return link.hub_inertia + (link.mass / 3 + link.payload) * link.length**2
+    radius, end = link.hub_radius, link.hub_radius + link.length
+    return link.hub_inertia + link.mass * (end**3 - radius**3) / (3 * link.length) + link.payload * end**2
 
 
 def _marker_angle_noise(rig: Rig, link: Link) -> float:
@@ -370,7 +371,7 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     torque = recording.kind == "driven" and recording.input == "torque"
     if torque and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
         yield "every torque is zero, though the kind is 'driven'"
-    reach = sum(link.length for link in rig.links)
+    reach = sum(link.hub_radius + link.length for link in rig.links)
     with np.errstate(over="ignore", invalid="ignore"):  # absurd coordinates deserve the sentence on units, not noise
         units = list(_unit_warnings(markers, reach))
         yield from units

@@ -55,6 +55,7 @@ _Gravity = Annotated[
 _Payload = Annotated[float, Ge(0), Le(1e9), "a finite number, zero or positive [kg], at most 1e9"]
 _Offset = Annotated[float, Ge(-1e6), Le(1e6), "a finite number [m], at most 1e6"]
 _Inertia = Annotated[float, Ge(0), Le(1e15), "a finite number, zero or positive [kg m^2], at most 1e15"]
+_Radius = Annotated[float, Ge(0), Le(1e6), "a finite number, zero or positive [m], at most 1e6"]
 _Arc = Annotated[float, Ge(1e-9), Le(1e6)]
 _Metres = Annotated[float, Ge(1e-9), Le(1e6), "a finite positive number [m], from 1e-9 to 1e6"]
 _OptionalMetres = Annotated[float | None, Ge(1e-9), Le(1e6), "a finite positive number [m], from 1e-9 to 1e6"]
@@ -88,6 +89,7 @@ class Link:
         bending_stiffness: nominal EI [N m^2]; None: E w h^3 / 12.
         markers: arc length of each marker from the proximal end [m], increasing.
         hub_inertia: about the joint axis, motor included [kg m^2]; zero for a clamped link.
+        hub_radius: distance of the proximal end from the joint axis [m]; zero for a clamped link.
         payload: known mass at the distal end [kg].
         payload_offset: of its centre beyond the distal end, along the link there [m].
         payload_inertia: of it about its centre [kg m^2].
@@ -110,6 +112,7 @@ class Link:
     ] = None  # type: ignore[assignment]
     markers: Annotated[tuple[_Arc, ...], "a list of finite positive numbers, arc lengths [m]"] = ()
     hub_inertia: _Inertia = 0.0
+    hub_radius: _Radius = 0.0
     payload: _Payload = 0.0
     payload_offset: _Offset = 0.0
     payload_inertia: _Inertia = 0.0
@@ -122,8 +125,9 @@ class Link:
     def __post_init__(self) -> None:
         """Validate."""
         _check_fields(self, self.name)
-        if self.joint == "clamped" and self.hub_inertia:
-            self._refuse("hub_inertia", "the link is clamped and has no hub", 'this key only with joint = "revolute"')
+        for key in ("hub_inertia", "hub_radius"):
+            if self.joint == "clamped" and getattr(self, key):
+                self._refuse(key, "the link is clamped and has no hub", 'this key only with joint = "revolute"')
         _check_payload(self, f"link {self.name}")
         previous = 0.0
         # On the tip in spite of rounding, as 3 * 0.1 is on one of 0.3 m, in single precision too.

@@ -77,13 +77,14 @@ def estimate_angles(
             blocks.append(np.array([[encoder_noise**2]]))
             heading = heading + active_angle[:, 0]
         markers = recording.markers[rows][:, rig.marker_slices[i]]
+        root = np.array([link.hub_radius, 0.0])
         if link.markers_frame == "base":
-            markers = rotate(markers - origin[:, None], -heading[:, None])
+            markers = rotate(markers - origin[:, None], -heading[:, None]) - root
         measurement = _LinkMeasurement(link, cuts[i], settings, markers)
         known = None if shapes is None or settings.method == "points" else shapes[i]
         fit = known or measurement.fit_shape(settings.orders[i])
         phi, position, tip_heading = measurement.angles(fit)
-        origin, heading = origin + rotate(position, heading), heading + tip_heading
+        origin, heading = origin + rotate(root + position, heading), heading + tip_heading
         columns.append(phi)
         fits.append(fit)
         blocks.append(measurement.covariance(fit, marker_noise))

@@ -163,11 +163,12 @@ def _add_chain(model: pin.Model, chain: Chain, payload: Payload) -> None:
         joint = add_joint(pin.JointModelPrismaticUnaligned(np.r_[chain.base.axis, 0.0]))
         add_body(chain.base.mass, 0.0, 0.0)
     for i, link in enumerate(chain.links):
+        before, after = link.radii
         if link.joint == "revolute":
-            joint, offset, angle = add_joint(), 0.0, 0.0
+            joint, offset, angle = add_joint(), before, 0.0
         if link.root_stiffness is not None:
             add_body(0.0, 0.0, link.hub_inertia)
-            joint, offset, angle = add_joint(), 0.0, 0.0
+            joint, offset, angle = add_joint(), after, 0.0
         for j, length in enumerate(link.lengths.tolist()):
             if j > 0:
                 angle = link.rest_curvature * float(link.cells[j - 1])

@@ -163,9 +163,9 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
         damping = link.joint_damping if link.joint_damping or dry else None
         yield _Joint(f"{name}_joint", kind, parent, 0.0, carried_body, damping, friction=dry)
         if link.root_stiffness is not None:
-            yield _Joint(f"{name}_root", "revolute", carried_body.name, 0.0, body, link.root_damping)
+            yield _Joint(f"{name}_root", "revolute", carried_body.name, link.radii[0], body, link.root_damping)
         for j in range(1, link.virtual_joints + 1):
-            parent, body, x = body.name, _virtual_link(link, j), link.lengths[j - 1]
+            parent, body, x = body.name, _virtual_link(link, j), _start(link, j - 1) + link.lengths[j - 1]
             yaw = link.rest_curvature * link.cells[j - 1]
             yield _Joint(f"{name}_virtual_{j}", "revolute", parent, x, body, link.damping[j - 1], yaw)
         parent = f"{name}_tip"
@@ -204,8 +204,9 @@ def _virtual_link(link: LinkChain, j: int) -> _Body:
     along_x = inertia - along_y
     disc = link.carried_inertia if j == 0 else 0.0
     ixx, iyy = along_y + along_z + disc / 2, along_x + along_z + disc / 2
-    inertial = _Inertial(mass, link.mass_centers[j], ixx, iyy, inertia + disc)
-    shapes = [_Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
+    start = _start(link, j)
+    inertial = _Inertial(mass, start + link.mass_centers[j], ixx, iyy, inertia + disc)
+    shapes = [_Shape("box", (length, thickness, width), start + length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
     if j:
         radius = max(0.6 * thickness, 0.008 * link.length)
         shapes.append(_Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint"))
@@ -214,8 +215,14 @@ def _virtual_link(link: LinkChain, j: int) -> _Body:
     return _Body(f"{link.name}_virtual_{j}_link", inertial, tuple(shapes))
 
 
+def _start(link: LinkChain, j: int) -> float:
+    """Return where virtual link j begins in its body's frame [m], which is that of the joint that carries it."""
+    return link.radii[link.root_stiffness is not None] if j == 0 else 0.0
+
+
 def _hub_shape(link: LinkChain) -> _Shape:
-    return _Shape("cylinder", (0.025 * link.length, 1.3 * _section(link)[0]), 0.0, "vjm_hub")
+    radius = link.hub_radius or 0.025 * link.length
+    return _Shape("cylinder", (radius, 1.3 * _section(link)[0]), 0.0, "vjm_hub")
 
 
 def _section(link: LinkChain) -> tuple[float, float]:
@@ -241,7 +248,7 @@ def _check(chain: Chain, friction: Mapping[str, float]) -> None:
     sizes = {f"friction[{name!r}]": value for name, value in friction.items()}
     for link in chain.links:
         sizes |= {f"{link.name}.hub_inertia": link.hub_inertia, f"{link.name}.payload": link.payload}
-        for field in ("rest_curvature", "payload_offset"):
+        for field in ("hub_radius", "rest_curvature", "payload_offset"):
             if not math.isfinite(getattr(link, field)):
                 raise ShapeError(f"{link.name}.{field}", getattr(link, field), "a finite number")
         if link.joint == "clamped" and (link.joint_damping or link.joint_stiffness):
@@ -381,7 +388,8 @@ def _sites(chain: Chain, markers: Sequence[Sequence[float]]) -> list[_Site]:
         starts = np.concatenate([[0.0], link.joint_arcs])
         for k, arc in enumerate(arcs, 1):
             j = int(np.searchsorted(link.joint_arcs, arc))
-            sites.append(_Site(f"{link.name}.m{k}", f"{link.name}_virtual_{j}_link", float(arc - starts[j])))
+            place = _start(link, j) + float(arc - starts[j])
+            sites.append(_Site(f"{link.name}.m{k}", f"{link.name}_virtual_{j}_link", place))
     return sites
 
 

@@ -312,7 +312,7 @@ class Arm:
 
 def _largest_inertia(chain: Chain, payload: Payload) -> float:
     """Return a bound of the inertia that a joint of a chain with a payload moves [kg m^2]: all masses at full reach."""
-    reach = sum(link.length for link in chain.links)
+    reach = sum(abs(link.hub_radius) + link.length for link in chain.links)
     inertia = payload.inertia + payload.mass * (reach + abs(payload.offset)) ** 2
     for link in chain.links:
         inertia += link.hub_inertia + link.root_inertia + float(link.inertias.sum()) + link.payload_inertia

@@ -32,7 +32,7 @@ _MAX_MODES = 16  # bounds the cost, which grows with the cube of the number of m
 _OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below those 3 %
 # What of links rigid-body dynamics depends on: virtual links, and what is at either end.
 _OF_RODS = ("lengths", "masses", "mass_centers", "inertias", "rest_curvature")
-_OF_BODIES = (*_OF_RODS, "hub_inertia", "root_inertia", "payload_body")
+_OF_BODIES = (*_OF_RODS, "hub_inertia", "hub_radius", "root_inertia", "payload_body")
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,8 @@ def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array,
     if not arcs.size:
         return None
     if based or arcs.size == 1:
-        points, arcs = np.concatenate([np.zeros_like(points[:, :1]), points], axis=1), np.array([0.0, *arcs])
+        axis = -rig.links[0].hub_radius if rig.links[0].markers_frame == "base" else 0.0
+        points, arcs = np.concatenate([np.zeros_like(points[:, :1]), points], axis=1), np.array([axis, *arcs])
     steps = np.diff(points[:, :3], axis=1)
     directions = np.arctan2(steps[..., 1], steps[..., 0])
     noise = (rig.marker_noise or 1e-3 * rig.links[0].length) * np.sqrt(2.0) / np.diff(arcs[:3])

@@ -82,7 +82,8 @@ def distance_mistakes(experiment: Experiment, skipped: Collection[str]) -> list[
 def _best_hypothesis(experiment: Experiment, index: int, markers: Array) -> tuple[_Hypothesis, float, float]:
     """Return the likeliest hypothesis of a link's markers (F, k, 2), its gain and how much too large distances are."""
     link = experiment.rig.links[index]
-    based, arcs, count = index == 0, np.array([0.0, *link.markers]), len(link.markers)
+    based, count = index == 0, len(link.markers)
+    arcs = np.array([-link.hub_radius if link.markers_frame == "base" else 0.0, *link.markers])  # the base's first
     points = np.concatenate([np.zeros((len(markers), 1, 2)), markers], axis=1)
     first, second = np.triu_indices(arcs.size, 1)
     distances = np.hypot(*np.moveaxis(points[:, first] - points[:, second], 2, 0))
@@ -268,30 +269,40 @@ def _slope_likelihoods(
 
 
 def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mistake]:
-    """Return that the first link does not start at the origin: where its markers, and their direction, say it starts.
+    """Return that the first link starts elsewhere: at another origin, or further from its joint's axis than described.
 
     The marker nearest to the base is its own arc length away from there, in the link's direction: it bends least.
     """
     link, marker_slice = experiment.rig.links[0], experiment.rig.marker_slices[0]
-    group = []
+    moved, on_hub = list[tuple[str, float, Array]](), list[tuple[str, float, float]]()
     for recording in experiment.recordings:
         markers = recording.markers[chosen_frames(recording)][:, marker_slice]
         angles = root_headings(experiment.rig, markers)
         if recording.file in skipped or link.markers_frame == "link" or len(link.markers) < 2 or angles is None:
             continue
         nearest = int(np.argmax(np.isfinite(markers).all(axis=2).mean(axis=0) > 0.5))
-        start = markers[:, nearest] - link.markers[nearest] * np.stack([np.cos(angles[0]), np.sin(angles[0])], axis=1)
-        start = start[np.isfinite(start).all(axis=1)]
-        # The link bends while it moves, and little of that is evidence of where it starts.
-        spread = start.std(axis=0).max() / np.sqrt(swings(start[:, 1]) + 1)
-        allowed = float(np.hypot(_ORIGIN * link.length, spread))
-        offset = np.median(start, axis=0)
-        gain = 0.5 * float(np.sum((offset / allowed) ** 2)) - 2 * float(np.log(link.length / allowed))
-        if gain > LIKELY:
-            group.append((recording.file, gain, offset))
-    if not group:
+        direction = np.stack([np.cos(angles[0]), np.sin(angles[0])], axis=1)
+        start = markers[:, nearest] - (link.hub_radius + link.markers[nearest]) * direction
+        known = np.isfinite(start).all(axis=1)
+        ahead = np.sum(start * direction, axis=1)[known, None]
+        offset, gain = _displacement(start[known], link.length)
+        moved.append((recording.file, gain, offset))
+        radius, gain = _displacement(ahead, link.length)
+        possible = link.joint == "revolute" and link.hub_radius + radius[0] > 0
+        on_hub.append((recording.file, gain if possible else 0.0, float(radius[0])))
+    moved = [each for each in moved if each[1] > LIKELY]
+    on_hub = [each for each in on_hub if each[1] > LIKELY]
+    if sum(gain for _, gain, _ in on_hub) > sum(gain for _, gain, _ in moved):
+        files, gains, radii = zip(*on_hub, strict=True)
+        total = link.hub_radius + float(np.median(radii))
+        text = (
+            f"the markers show that {link.name} begins {total:.3g} m from its joint's axis, and not "
+            f"{link.hub_radius:.3g} m; give 'hub_radius' of [[link]] {link.name} in m, {total:.3g}"
+        )
+        return [Mistake(text, max(gains), files)]
+    if not moved:
         return []
-    files, gains, offsets = zip(*group, strict=True)
+    files, gains, offsets = zip(*moved, strict=True)
     x, y = np.median(offsets, axis=0)
     camera = experiment.conventions.camera.origin
     text = (
@@ -299,6 +310,16 @@ def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mist
         f"origin is another; set [camera] origin = [{camera[0] - x:.3g}, {camera[1] - y:.3g}]"
     )
     return [Mistake(text, max(gains), files)]
+
+
+def _displacement(start: Array, length: float) -> tuple[Array, float]:
+    """Return how far a link's beginning (F, d) is from where it should be, and what is gained by these d numbers."""
+    # The link bends while it moves, and little of that is evidence of where it starts.
+    spread = start.std(axis=0).max() / np.sqrt(swings(start[:, -1]) + 1)
+    allowed = float(np.hypot(_ORIGIN * length, spread))
+    offset = np.median(start, axis=0)
+    cost = offset.size * float(np.log(length / allowed))
+    return offset, 0.5 * float(np.sum((offset / allowed) ** 2)) - cost
 
 
 def _quarter_turns(offset: float, std: float) -> tuple[int | None, float]:

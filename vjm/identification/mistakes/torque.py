@@ -144,11 +144,13 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
         return []
     heading, _, heading_noise = root
     arcs, points = seen_markers(rig, markers)
-    angles = np.arctan2(points[..., 1], points[..., 0])
-    complete = np.isfinite(heading) & np.isfinite(angles).all(axis=1)
-    if rig.links[0].markers_frame == "link":  # angles are those of deflections
-        angles, heading = angles + theta[:, None], theta
     link = rig.links[0]
+    arcs = link.hub_radius + arcs  # from the axis
+    ahead = link.hub_radius if link.markers_frame == "link" else 0.0
+    angles = np.arctan2(points[..., 1], ahead + points[..., 0])
+    complete = np.isfinite(heading) & np.isfinite(angles).all(axis=1)
+    if link.markers_frame == "link":  # angles are those of deflections
+        angles, heading = angles + theta[:, None], theta
     squares, firsts = _mass_moments(link, recording.payload, arcs)
     polar = np.column_stack([np.unwrap(heading[complete]), angles[complete]])
     polar[:, 1:] = polar[:, :1] + np.angle(np.exp(1j * (polar[:, 1:] - polar[:, :1])))
@@ -199,17 +201,17 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
 def _mass_moments(link: Link, payload: float, arcs: Array) -> tuple[Array, Array]:
     """Return second [kg m^2] and first moments [kg m] (3, 1 + k) of masses that turn with the base and each marker.
 
-    The masses are the link's, its payload and the recording's. Between base and markers, at arc lengths (k,) [m], the
-    angle about the base is taken as linear.
+    The masses are the link's, its payload and the recording's. Between base and markers, at distances (k,) [m] from the
+    axis along the link, the angle about the base is taken as linear.
     """
-    grid = np.linspace(0.0, link.length, 201)
+    grid = link.hub_radius + np.linspace(0.0, link.length, 201)
     nodes = np.array([0.0, *arcs])
     hats = np.stack([np.interp(grid, nodes, row) for row in np.eye(nodes.size)])
     density = np.full(grid.size, link.mass / grid.size)
     squares, firsts = np.zeros((3, nodes.size)), np.zeros((3, nodes.size))
     squares[0], firsts[0] = hats @ (density * grid**2), hats @ (density * grid)
-    firsts[1:, -1] = np.array([link.payload, payload]) * link.length
-    squares[1:, -1] = firsts[1:, -1] * link.length
+    firsts[1:, -1] = np.array([link.payload, payload]) * (link.hub_radius + link.length)
+    squares[1:, -1] = firsts[1:, -1] * (link.hub_radius + link.length)
     return squares, firsts
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Arc
+from matplotlib.patches import Arc, Circle
 from matplotlib.patheffects import withStroke
 
 from vjm.identification.check import Check, RecordingOverview
@@ -81,7 +81,8 @@ def _draw_link(
 ) -> tuple[float, float, float]:
     """Draw the straight link where the encoder has it, at rest and at the ends of its travel; return those [rad]."""
     link = rig.links[0]
-    arcs, theta = np.array(link.markers), shown.recording.theta
+    theta, radius = shown.recording.theta, link.hub_radius if link.markers_frame == "base" else 0.0
+    arcs = radius + np.array(link.markers)
     rest_angle = low = high = 0.0
     if link.joint == "revolute" and link.markers_frame == "base":
         low, high = float(np.nanmin(theta[:, 0])), float(np.nanmax(theta[:, 0]))
@@ -89,16 +90,26 @@ def _draw_link(
     # An end at which the link rests is not drawn again.
     ends = [angle for angle in (low, high) if abs(angle - rest_angle) > 0.05 * (high - low) > 0]
     for k, angle in enumerate(ends):
-        x, y = link.length * np.cos(angle), link.length * np.sin(angle)
+        x, y = (radius + link.length) * np.cos(angle), (radius + link.length) * np.sin(angle)
         label = "described: ends of the encoder's travel" if k == 0 else None
-        axes.plot([0, x], [0, y], color=Color.MEASURED, linestyle=(0, (5, 3)), linewidth=1.2, label=label)
+        axes.plot(
+            [radius * np.cos(angle), x],
+            [radius * np.sin(angle), y],
+            color=Color.MEASURED,
+            linestyle=(0, (5, 3)),
+            linewidth=1.2,
+            label=label,
+        )
         text = f"{link.name}.theta = {number(angle, 3)} rad ({number(np.rad2deg(angle), 3)}°)"
         label_style: dict[str, Any] = {"xytext": (0, 7), "va": "bottom"} if y > 0 else {"xytext": (0, -7), "va": "top"}
         if labelled:
             axes.annotate(text, (x, y), textcoords="offset points", **_LABEL, **label_style)
             axes.update_datalim([(1.2 * x, 1.15 * y)])  # room for it
     direction = np.array([np.cos(rest_angle), np.sin(rest_angle)])
-    axes.plot(*np.outer(direction, [0, link.length]), color=_LINK, linewidth=9, solid_capstyle="butt", zorder=1)
+    ends_of_link = np.outer(direction, [radius, radius + link.length])
+    axes.plot(*ends_of_link, color=_LINK, linewidth=9, solid_capstyle="butt", zorder=1)
+    if radius:
+        axes.add_patch(Circle((0, 0), radius, facecolor="none", edgecolor=_LINK, linewidth=3, zorder=1))
     places = np.outer(arcs, direction)
     ring: dict[str, Any] = {"markersize": 19, "markerfacecolor": "none", "markeredgecolor": Color.AXIS, "zorder": 4}
     axes.plot(*places.T, "o", **ring, linestyle="none", label="described: markers at rest")
