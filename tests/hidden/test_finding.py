@@ -127,6 +127,19 @@ def test_a_gear_has_its_stiffness_and_its_damping(tmp_path: Path, seed: int, dam
     assert ("damping" in diagnosis.summary().partition("Held-out")[0]) == (damping > 0)
 
 
+@pytest.mark.parametrize("seed", [921, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (922, 924))])
+def test_a_hub_has_its_radius(tmp_path: Path, seed: int) -> None:
+    """Which a shifted camera, one that shakes, and a clock look like."""
+    truth = write_hidden(tmp_path, "hub", [draw("hub_radius", seed)], seed)
+    others = ["camera_translation", "camera_vibration", "clock_scale", "camera_scale"]
+    diagnosis = diagnosed(tmp_path / "experiment.toml", ["hub_radius", *others])
+    assert diagnosis.verdict == "named"
+    assert_found(diagnosis, truth)
+    size = diagnosis.causes[0].parameters["radius"]
+    assert size.std is not None
+    assert abs(size.value - truth.effects[0].parameters["radius"]) < 3 * size.std
+
+
 @pytest.mark.parametrize(
     ("effect", "seed"),
     [

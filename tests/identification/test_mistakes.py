@@ -17,6 +17,8 @@ import pytest
 import vjm
 from tests.diagnosis.rigs import RIG, recorded
 from tests.fine_beam.make_hub import write_hub_experiment
+from tests.hidden.rigs import write_hidden
+from tests.hidden.severities import Planted
 from tests.simulation.integrators import simulate
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
@@ -725,3 +727,19 @@ def test_a_model_that_follows_nothing_has_failed() -> None:
     assert "beam.m5.x was left out" in failure_of(experiment, [RecordingComparison(blind, (3e-4, 1e-4), None)])
     held_out = RecordingComparison(experiment.recordings[-1], (3e-4, 1e-4), None, problem="diverged")
     assert "both_modes.csv: held out, but the model could not be simulated" in failure_of(experiment, [held_out])
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.02, 0.04, 0.1])
+def test_a_hub_s_radius_that_was_not_given_is_named_where_it_is_large(tmp_path: Path, radius: float) -> None:
+    write_hidden(tmp_path, "hub", [Planted("hub_radius", {"radius": radius})], 5)
+    given = vjm.load_experiment(tmp_path / "experiment.toml")
+    found = find_mistakes(given)
+    assert len(found) == (radius > 0.03)
+    for mistake in found:
+        assert mistake.certain
+        assert f"'hub_radius' of [[link]] beam in m, {radius:.3g}" in str(mistake)
+    (link,) = given.rig.links
+    described = replace(given, rig=replace(given.rig, links=(replace(link, hub_radius=radius),)))
+    assert list(find_mistakes(described)) == []
+    elsewhere = replace(given, rig=replace(given.rig, links=(replace(link, hub_radius=radius + 0.2),)))
+    assert list(find_mistakes(elsewhere)) != []

@@ -108,6 +108,7 @@ def changed(chain: Chain, by: float) -> dict[str, Chain]:
     }
     if link.joint == "revolute":
         parts["hub"] = replace(link, hub_inertia=link.hub_inertia * (1 + by))
+        parts["hub's radius"] = replace(link, hub_radius=link.hub_radius + by * link.length)
     return {name: replace(chain, links=(*chain.links[:-1], part)) for name, part in parts.items()}
 
 

@@ -25,7 +25,7 @@ from vjm.simulation.variational_equations import (
     with_added_joints,
 )
 
-_OF_CURVES = ("lengths", "cells", "rest_curvature")  # fields of links on which a link's curve depends
+_OF_CURVES = ("hub_radius", "lengths", "cells", "rest_curvature")  # fields of links on which markers' places depend
 _MOST_COEFFICIENTS = 400_000  # held in memory at once: 3 MB of doubles
 
 
