@@ -105,6 +105,27 @@ def test_a_straight_arm_lies_along_its_active_angles() -> None:
     np.testing.assert_allclose(points, expected, atol=1e-12)
 
 
+def test_links_on_hubs_begin_on_their_rims() -> None:
+    chain = arm(("revolute", "revolute", "clamped"))
+    links = [replace(link, hub_radius=radius) for link, radius in zip(chain.links, (0.1, 0.03, 0.0), strict=True)]
+    chain = replace(chain, links=tuple(links))
+    q = np.zeros(chain.size)
+    q[chain.active] = [0.4, -1.1]
+    first, second = np.exp(0.4j), np.exp(-0.7j)
+    points = complex_of(marker_poses(chain, q, ARCS, BASE)[0])
+    expected = [0.4 * first, 0.9 * first, *(0.9 * first + (0.03 + np.array([0.1, 0.2, 0.5, 0.9])) * second)]
+    np.testing.assert_allclose(points, expected, atol=1e-12)
+    own = complex_of(marker_poses(chain, q, ARCS, OWN)[0])
+    np.testing.assert_allclose(own, np.concatenate(ARCS), atol=1e-12)
+    # A compliant clamp turns on the rim, a gear at the axis.
+    for geared, place in ((0.0, 0.1 + 0.3 * np.exp(0.2j)), (1e-3, 0.4 * np.exp(0.2j))):
+        rooted = replace(chain.links[0], root_stiffness=5.0, root_inertia=geared)
+        turned = replace(chain, links=(rooted, *chain.links[1:]))
+        angles = np.zeros(turned.size)
+        angles[[0, 1]] = 0.4, 0.2
+        np.testing.assert_allclose(complex_of(marker_poses(turned, angles, ARCS, BASE)[0])[0], place * first)
+
+
 def test_joints_of_an_outer_link_leave_inner_markers_alone() -> None:
     chain = arm(("revolute", "revolute", "revolute"))
     q = posture(chain, 1)
@@ -121,14 +142,19 @@ def test_joints_of_an_outer_link_leave_inner_markers_alone() -> None:
     st.booleans(),
     st.booleans(),
     st.sampled_from([BASE, OWN, (False, True, False)]),
+    st.sampled_from([0.0, 1e-3]),
 )
 @settings(max_examples=40, deadline=None)
 def test_slopes_are_those_of_the_poses(
-    joints: tuple[Joint, ...], seed: int, moves: bool, gives: bool, frames: tuple[bool, ...]
+    joints: tuple[Joint, ...], seed: int, moves: bool, gives: bool, frames: tuple[bool, ...], geared: float
 ) -> None:
-    """Of curved links too, on roots that give and on a base that moves, along any directions."""
+    """Of curved links too, on hubs, on roots that give and on a base that moves, along any directions."""
     chain, rng = arm(joints), np.random.default_rng(seed)
-    links = [replace(link, rest_curvature=rng.normal(), root_stiffness=2.0 if gives else None) for link in chain.links]
+    root = {"root_stiffness": 2.0, "root_inertia": geared} if gives else {}
+    links = [
+        replace(link, rest_curvature=rng.normal(), hub_radius=0.1 * (link.joint == "revolute"), **root)
+        for link in chain.links
+    ]
     base = MovingBase(mass=1.0, stiffness=3.0, damping=0.1, direction=rng.uniform(-3, 3)) if moves else None
     chain = replace(chain, links=tuple(links), base=base)
     q, directions = rng.uniform(-0.7, 0.7, (5, chain.size)), rng.normal(size=(chain.size, 3))
