@@ -25,6 +25,7 @@ class Link:
         kelvin_voigt_time: s; the damping of a hinge is its stiffness times this.
         joint: "revolute" (turned by a torque) or "clamped" (along the end of the link before, the first along x).
         hub_inertia: kg m^2 about the joint axis; the hub turns with this link and has no mass.
+        hub_radius: m, from the joint axis to where the link begins.
         payload, payload_offset, payload_inertia: kg, m, kg m^2, of a body with its centre beyond the distal end.
         joint_damping, joint_stiffness: of its active joint, N m s/rad, N m/rad; the spring is at rest at zero.
         joint_friction: dry, of its active joint, N m.
@@ -37,6 +38,7 @@ class Link:
     kelvin_voigt_time: float = 0.0
     joint: Literal["revolute", "clamped"] = "revolute"
     hub_inertia: float = 0.0
+    hub_radius: float = 0.0
     payload: float = 0.0
     payload_offset: float = 0.0
     payload_inertia: float = 0.0
@@ -98,7 +100,10 @@ class Arm:
         """
         headings = self.headings(coordinates)
         tangents = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
-        return np.asarray(self._covered(link, np.array(arc_lengths)) @ tangents)
+        counts = [self.rod_lengths(each).size for each in self.links]
+        firsts = (np.cumsum(counts) - counts)[: link + 1]
+        hubs = np.array([each.hub_radius for each in self.links[: link + 1]]) @ tangents[:, firsts]
+        return np.asarray(hubs[:, None] + self._covered(link, np.array(arc_lengths)) @ tangents)
 
     def _covered(self, link: int, arc_lengths: Array) -> Array:
         """How much of each rod lies before each arc length of a link, m, (k, rods)."""
@@ -148,14 +153,16 @@ class Arm:
             mass = link.mass * lengths[index] / link.length
             inertia = mass * lengths[index] ** 2 / 12.0 + (0.0 if index else link.hub_inertia)
             joint = f'<joint axis="0 0 1" {spring}/>' if index else _active_joint(link)
-            beyond = f"""<body pos="{lengths[index - 1] if index else start!r} 0 0">{joint}
+            place = lengths[index - 1] if index else start + link.hub_radius
+            beyond = f"""<body pos="{place!r} 0 0">{joint}
                 {_inertial(lengths[index] / 2.0, mass, inertia)}{beyond}</body>"""
         return beyond
 
 
 def _active_joint(link: Link) -> str:
     spring = f'stiffness="{link.joint_stiffness!r}" damping="{link.joint_damping!r}"'
-    return f'<joint name="{link.name}" axis="0 0 1" {spring}/>' if link.joint == "revolute" else ""
+    axis = f'pos="{-link.hub_radius!r} 0 0" axis="0 0 1"'
+    return f'<joint name="{link.name}" {axis} {spring}/>' if link.joint == "revolute" else ""
 
 
 def _payload(link: Link, position: float) -> str:

@@ -196,7 +196,7 @@ class HubRadius(JointEffect):
     radius: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
 
     description = "radius of the hub: the link begins away from the joint's axis"
-    clause = "'{link}' begins {radius} further from its joint's axis than known"
+    clause = "link '{link}' begins {radius} further from its joint's axis than known"
     assumptions = "a rigid hub; a straight link that begins in the direction from the axis"
     reference = "P. K. C. Wang and J.-D. Wei, Vibrations in a moving flexible robot arm, J. Sound Vib. 116(1), 1987"
     distinguishing_experiment = "recordings at several hub angles"
