@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from tests.chain.beams import beam_chain, clamped_frequencies, hub_frequencies
 from vjm.chain.curve import curve_map
 from vjm.chain.layout import layout, nominal_chain, rig_layouts, uniform_chain
-from vjm.chain.virtual_links import Chain
+from vjm.chain.virtual_links import Chain, Distal
 from vjm.model.modes import modes
 from vjm.records import NO_PAYLOAD, Link, Payload, Rig
 
@@ -116,6 +116,17 @@ def test_ends_that_a_body_bends_converge_at_fourth_order(in_recording: bool) -> 
         off.append(np.abs(found / clamped_frequencies(3, body.mass, body.inertia) - 1))
     assert (off[0] < 1e-3).all()
     assert (off[1] < off[0] / 2**3.5).all()
+
+
+@pytest.mark.parametrize(
+    ("distal", "n", "percent"),
+    [("joined", 8, 0.086), ("joined", 32, -1.45e-4), ("free", 8, 0.887), ("free", 32, 0.188)],
+)
+def test_third_frequency_beside_a_body_is_off_as_documented(distal: Distal, n: int, percent: float) -> None:
+    body = Payload(0.3, 0.0, 0.3 * 0.05**2)
+    found = modes(beam_chain(n, "fourth-order", distal=distal), body).frequencies[2]
+    off = found / clamped_frequencies(3, body.mass, body.inertia)[2] - 1
+    assert 100 * off == pytest.approx(percent, rel=0.05)
 
 
 @pytest.mark.parametrize("hub_inertia", [0.05, 0.1, 0.2, 0.3])

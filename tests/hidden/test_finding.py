@@ -51,6 +51,14 @@ def beginnings(file: Path) -> vjm.Experiment:
     return replace(experiment, recordings=tuple(first_seconds(each, 3.0) for each in experiment.recordings))
 
 
+def assert_sizes(diagnosis: vjm.Diagnosis, truth: Truth) -> None:
+    """Every parameter of the first cause is within three standard errors."""
+    for name, value in truth.effects[0].parameters.items():
+        size = diagnosis.causes[0].parameters[name]
+        assert size.std is not None
+        assert abs(size.value - value) < 3 * size.std
+
+
 def classes(diagnosis: vjm.Diagnosis) -> list[set[str]]:
     """What each cause may be."""
     return [
@@ -119,11 +127,7 @@ def test_a_gear_has_its_stiffness_and_its_damping(tmp_path: Path, seed: int, dam
     diagnosis = vjm.diagnose(beginnings(tmp_path / "experiment.toml"), effects=["gear_elasticity"], budget=UNLIMITED)
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
-    (cause,) = diagnosis.causes
-    for name, value in truth.effects[0].parameters.items():
-        size = cause.parameters[name]
-        assert size.std is not None
-        assert abs(size.value - value) < 3 * size.std
+    assert_sizes(diagnosis, truth)
     assert ("damping" in diagnosis.summary().partition("Held-out")[0]) == (damping > 0)
 
 
@@ -135,9 +139,7 @@ def test_a_hub_has_its_radius(tmp_path: Path, seed: int) -> None:
     diagnosis = diagnosed(tmp_path / "experiment.toml", ["hub_radius", *others])
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
-    size = diagnosis.causes[0].parameters["radius"]
-    assert size.std is not None
-    assert abs(size.value - truth.effects[0].parameters["radius"]) < 3 * size.std
+    assert_sizes(diagnosis, truth)
 
 
 @pytest.mark.parametrize(
@@ -154,10 +156,7 @@ def test_a_body_on_the_tip_has_its_radius_and_its_centre(tmp_path: Path, effect:
     diagnosis = diagnosed(tmp_path / "experiment.toml", [effect])
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
-    for name, value in truth.effects[0].parameters.items():
-        size = diagnosis.causes[0].parameters[name]
-        assert size.std is not None
-        assert abs(size.value - value) < 3 * size.std
+    assert_sizes(diagnosis, truth)
 
 
 @pytest.mark.slow
@@ -170,10 +169,7 @@ def test_a_clamp_has_its_compliance_and_its_damping(tmp_path: Path, damping: flo
     diagnosis = diagnosed(tmp_path / "experiment.toml", ["clamp_compliance"])
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
-    for name, value in truth.effects[0].parameters.items():
-        size = diagnosis.causes[0].parameters[name]
-        assert size.std is not None
-        assert abs(size.value - value) < 3 * size.std
+    assert_sizes(diagnosis, truth)
 
 
 @pytest.mark.slow
