@@ -192,7 +192,7 @@ class TorqueOffset(ColumnEffect):
 class HubRadius(JointEffect):
     """A link that begins on the rim of a hub, at a radius from the joint's axis beyond the one that is known."""
 
-    # Typical: the marker next to the hub is off by as much. No hub is larger than half its link.
+    # Typical: a hundredth of the link's length across. At most as wide as the link is long.
     radius: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
 
     description = "radius of the hub: the link begins away from the joint's axis"
