@@ -42,13 +42,11 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
         point: where the chain fits best.
         rig: the arm.
     """
-    coarse, bent = with_offset(point, None), _is_bent_free_end(point, rig)
+    coarse = with_offset(point, None)
     try:
-        predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
-        alike = _predictions(_finer(coarse, rig, 1), coarse) if bent else [run.predicted for run in coarse.runs]
+        predicted = _predictions(_finer(coarse, rig), coarse)
         factor = _extrapolation(point, rig)
-        both = zip(predicted, alike, coarse.runs, strict=True)
-        offset = tuple(same - run.predicted + factor * (fine - same) for fine, same, run in both)
+        offset = tuple(factor * (fine - run.predicted) for fine, run in zip(predicted, coarse.runs, strict=True))
         free, change, decrease = ~point.held, np.zeros(point.x.size), 0.0
         for sign, shifted in ((1, with_offset(coarse, offset)), (-1, coarse)):
             problem = shifted.reduced()[0].of_unknowns(free)
@@ -83,10 +81,9 @@ class DiscretizationBias:
             the bias is so large that what the extrapolation leaves of it may show in the residuals.
         """
         start = with_offset(point, None)
-        finer = _finer(start, rig, _refinement(point))
-        best, chi2, fall = None, np.inf, np.inf
+        finer = _finer(start, rig)
+        current, best, chi2, fall = start, None, np.inf, np.inf
         try:
-            current = alike = _refit_as_finer(start, rig, deadline) if _is_bent_free_end(start, rig) else start
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
                 predicted = _predictions(finer, current)
                 previous, chi2 = chi2, sum(map(_chi2, current.runs, predicted))
@@ -117,7 +114,7 @@ class DiscretizationBias:
             return None
         predicted, x = best
         factor = _extrapolation(point, rig)
-        changes = [fine - run.predicted for fine, run in zip(predicted, alike.runs, strict=True)]
+        changes = [fine - run.predicted for fine, run in zip(predicted, start.runs, strict=True)]
         # What the extrapolation adds is a bound of its own error.
         added = [
             run.observed.whitened(run.observed.weights * (factor - 1) * change)
@@ -125,9 +122,7 @@ class DiscretizationBias:
         ]
         if sum(float(part @ part) for part in added) > point.noise_limit - point.expected_chi2:
             return None
-        pairs = zip(alike.runs, start.runs, changes, strict=True)
-        total = tuple(same.predicted - run.predicted + factor * change for same, run, change in pairs)
-        return cls(total, alike.x - point.x + factor * (x - alike.x))
+        return cls(tuple(factor * change for change in changes), factor * (x - point.x))
 
     def corrected(self, candidate: TrajectoryFit, max_misfit: float, deadline: float = np.inf) -> TrajectoryFit | None:
         """Fit a model again beside the bias; None where its misfit comes out larger than `max_misfit`.
@@ -172,33 +167,16 @@ def _extrapolation(point: Point, rig: Rig) -> float:
     It is one where the fitted chain has another layout: its error, which is many times larger, says nothing of what the
     finer chain leaves.
     """
-    alike = _is_cut_as_finer(point, rig, _payloads(point)) or _is_bent_free_end(point, rig)
+    links = point.chain.links
+    cuts = rig_layouts(rig, [link.virtual_joints for link in links], _FINER_LAYOUT, _payloads(point))
+    alike = all(np.allclose(link.lengths, cut.lengths) for link, cut in zip(links, cuts, strict=True))
     return 1 / (1 - _refinement(point) ** -2) if alike else 1.0
 
 
-def _is_bent_free_end(point: Point, rig: Rig) -> bool:
-    """Return True if a body on the tip, of an effect, bends an end that is cut as if it were free."""
-    return _is_cut_as_finer(point, rig, ()) and not _is_cut_as_finer(point, rig, _payloads(point))
-
-
-def _is_cut_as_finer(point: Point, rig: Rig, payloads: Sequence[Payload]) -> bool:
-    """Return True if the fitted chain has the layout of the finer one with payloads."""
-    links = point.chain.links
-    cuts = rig_layouts(rig, [link.virtual_joints for link in links], _FINER_LAYOUT, payloads)
-    return all(np.allclose(link.lengths, cut.lengths) for link, cut in zip(links, cuts, strict=True))
-
-
-def _refit_as_finer(point: Point, rig: Rig, deadline: float) -> Point:
-    """Fit the model with a chain of as many joints that is cut as the finer one is."""
-    problem = _finer(point, rig, 1)
-    states = _transferred_states(problem, point)
-    return fit_trajectory(problem, point.x, None, states, stop=lambda *_: monotonic() > deadline).point
-
-
-def _finer(point: Point, rig: Rig, factor: int) -> TrajectoryProblem:
-    """Return the problem of a chain with so many times the joints."""
+def _finer(point: Point, rig: Rig) -> TrajectoryProblem:
+    """Return the problem of a chain with more joints."""
     coarse = point.problem.parametrisation
-    joints = [factor * link.virtual_joints for link in coarse.template.links]
+    joints = [_refinement(point) * link.virtual_joints for link in coarse.template.links]
     template = starting_chain(rig, rig_layouts(rig, joints, _FINER_LAYOUT, _payloads(point)))
     finer = Parametrisation(template, coarse.kind, coarse.hubs)
     return replace(point.problem, parametrisation=finer)
