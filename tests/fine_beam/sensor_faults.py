@@ -34,8 +34,14 @@ class Faults:
         camera_vibration_direction, camera_vibration_ellipticity: of the long axis from x, rad; short over long axis,
             positive if they go round against the clock.
         encoder_offset_offset: encoder less true angle, rad.
-        lens_distortion_k1: measured = true (1 + k1 r^2) about the base origin, 1/m^2.
-        rolling_shutter_readout: a marker is seen so much earlier per metre of its own y as it is seen, s/m.
+        camera_tilt_px, camera_tilt_py: of a camera that looks at the plane obliquely, the sine of its tilt over its
+            height, along the direction in which the plane recedes, 1/m.
+        camera_tilt_centre_x, camera_tilt_centre_y: of the isocentre in the plane, where the scale is right, m.
+        camera_tilt_height: of the camera above the plane, m.
+        lens_distortion_k1: measured = true (1 + k1 r^2) about the lens's axis, 1/m^2; the base is at the origin.
+        lens_distortion_centre_x, lens_distortion_centre_y: where the lens's axis meets the plane, m.
+        rolling_shutter_readout: a marker is seen so much earlier per metre of its own way along the readout, s/m.
+        rolling_shutter_direction: of the readout from y, against the clock, rad.
         timestamp_jitter_jitter, timestamp_jitter_seed: standard deviation, s, of the instants at which frames are taken
             about those of their stamps, which is normal up to four times as much; of the random numbers.
         marker_offset_marker: index of the misplaced marker, from 1; 0: none.
@@ -54,8 +60,16 @@ class Faults:
     camera_vibration_phase: float = 0.0
     camera_vibration_ellipticity: float = 0.0
     encoder_offset_offset: float = 0.0
+    camera_tilt_px: float = 0.0
+    camera_tilt_py: float = 0.0
+    camera_tilt_centre_x: float = 0.0
+    camera_tilt_centre_y: float = 0.0
+    camera_tilt_height: float = 2.0
     lens_distortion_k1: float = 0.0
+    lens_distortion_centre_x: float = 0.0
+    lens_distortion_centre_y: float = 0.0
     rolling_shutter_readout: float = 0.0
+    rolling_shutter_direction: float = 0.0
     timestamp_jitter_jitter: float = 0.0
     timestamp_jitter_seed: int = 0
     marker_offset_marker: int = 0
@@ -90,17 +104,20 @@ def shown_markers(
         errors = np.random.default_rng([faults.timestamp_jitter_seed, recording]).standard_normal(len(stamps))
         time = time - faults.timestamp_jitter_jitter * np.clip(errors, -_LATEST, _LATEST)
     points = motion.at(time).positions(arcs, across)
+    # Readout's time per metre along x and y.
+    angle = faults.rolling_shutter_direction
+    readout = faults.rolling_shutter_readout * np.array([-np.sin(angle), np.cos(angle)])
     if faults.rolling_shutter_readout:
-        points = _read_out(motion, time, arcs, across, points, faults.rolling_shutter_readout)
-    seen = time[:, None] - faults.rolling_shutter_readout * points[..., 1]
+        points = _read_out(motion, time, arcs, across, points, readout)
+    seen = time[:, None] - points @ readout
     return _distort(points, faults) + _shake(seen, faults)
 
 
-def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: Array, readout: float) -> Array:
-    """Points (f, k, 2) each seen at t - readout y, with the y at which it is seen."""
+def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: Array, readout: Array) -> Array:
+    """Points (f, k, 2) each seen at t - readout . position, with the position at which it is seen."""
     for _ in range(4):
         seen = [
-            motion.at(time - readout * points[:, k, 1]).positions([arc], [side])[:, 0]
+            motion.at(time - points[:, k] @ readout).positions([arc], [side])[:, 0]
             for k, (arc, side) in enumerate(zip(arcs, across, strict=True))
         ]
         points = np.stack(seen, axis=1)
@@ -108,12 +125,40 @@ def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: A
 
 
 def _distort(points: Array, faults: Faults) -> Array:
-    """Lens first, then scale, then rotation, then translation."""
-    radius = np.sum(points**2, axis=-1, keepdims=True)
-    points = faults.camera_scale_scale * (1.0 + faults.lens_distortion_k1 * radius) * points
+    """Tilt first, then lens, then scale, then rotation, then translation; the first two leave the base where it is."""
+    for deform in (_look_obliquely, _refract):
+        points = deform(points, faults) - deform(np.zeros(2), faults)
+    points = faults.camera_scale_scale * points
     cosine, sine = np.cos(faults.camera_rotation_angle), np.sin(faults.camera_rotation_angle)
     shift = np.array([faults.camera_translation_dx, faults.camera_translation_dy])
     return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
+
+
+def _look_obliquely(points: Array, faults: Faults) -> Array:
+    """What a pinhole camera shows of points (..., 2) in the plane, its picture's axes along x and y without a tilt.
+
+    The ray to the isocentre halves the angle between the picture's normal and the plane's; there the scale is one.
+    """
+    height, tilt = faults.camera_tilt_height, np.array([faults.camera_tilt_px, faults.camera_tilt_py])
+    angle, azimuth = np.arcsin(height * np.linalg.norm(tilt)), np.arctan2(tilt[1], tilt[0])
+    away = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])  # where the plane recedes
+    left, up = np.array([-away[1], away[0], 0.0]), np.array([0.0, 0.0, 1.0])
+    isocentre = np.array([faults.camera_tilt_centre_x, faults.camera_tilt_centre_y, 0.0])
+    camera = isocentre + height * (up - np.tan(angle / 2) * away)
+    sight = np.sin(angle) * away - np.cos(angle) * up  # the optical axis
+    picture = np.cos(angle) * away + np.sin(angle) * up
+    rays = np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1) - camera
+    depth = rays @ sight
+    pixels = np.stack([rays @ picture / depth, rays @ left / depth], axis=-1)
+    return np.asarray(
+        height * pixels @ np.stack([away[:2], left[:2]])
+    )  # the isocentre is as deep as the camera is high
+
+
+def _refract(points: Array, faults: Faults) -> Array:
+    """Points (..., 2) as a lens with radial distortion shows them."""
+    off = points - np.array([faults.lens_distortion_centre_x, faults.lens_distortion_centre_y])
+    return np.asarray(points + faults.lens_distortion_k1 * np.sum(off**2, axis=-1, keepdims=True) * off)
 
 
 def _shake(time: Array, faults: Faults) -> Array:

@@ -78,10 +78,12 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "hub_radius": {"radius": Size(0.005)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
+OBLIQUITY = np.sin(np.deg2rad(1.0)) / 2.0  # 1/m, of a camera tilted by a degree 2 m above the plane
 # Everyday size of vectors, whose two components come from one length and one direction.
 VECTORS: Mapping[str, tuple[tuple[str, str], float]] = {
     "in_plane_gravity": (("gx", "gy"), TILT),
     "camera_translation": (("dx", "dy"), 0.003),
+    "camera_tilt": (("px", "py"), OBLIQUITY),
 }
 
 # What a clamped arm, slow and slightly bent, hardly shows at the size that is plain on a turning one.
@@ -128,6 +130,13 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("external_tone", "frequency"): (0, 0, -1),
     ("time_offset", "delay"): (0, 0, 1),
     ("lens_distortion", "k1"): (-2, 0, 0),
+    ("lens_distortion", "centre_x"): (1, 0, 0),
+    ("lens_distortion", "centre_y"): (1, 0, 0),
+    ("camera_tilt", "px"): (-1, 0, 0),
+    ("camera_tilt", "py"): (-1, 0, 0),
+    ("camera_tilt", "centre_x"): (1, 0, 0),
+    ("camera_tilt", "centre_y"): (1, 0, 0),
+    ("camera_tilt", "height"): (1, 0, 0),
     ("rolling_shutter", "readout"): (-1, 0, 1),
     ("timestamp_jitter", "jitter"): (0, 0, 1),
     ("marker_offset", "along"): (1, 0, 0),
@@ -138,7 +147,7 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("camera_vibration", "frequency"): (0, 0, -1),
 }
 
-EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation")
+EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation", "camera_tilt")
 _ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
 _JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one; none has a known payload.
@@ -189,7 +198,7 @@ def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Pla
         names, length = VECTORS[effect]
         angle, size = random.uniform(0.0, 2.0 * np.pi), factor * length
         components = float(size * np.cos(angle)), float(size * np.sin(angle))
-        return Planted(effect, dict(zip(names, components, strict=True)))
+        return Planted(effect, dict(zip(names, components, strict=True)) | _inner(effect, random, 0))
     values = {name: _value(size, factor, random) for name, size in SIZES[effect].items()}
     inner = _inner(effect, random, len(setting_of(rig, seed).markers))
     if effect == "base_compliance" and kind_of(rig) == "clamped":  # which hardly pushes a table along the link
@@ -291,6 +300,12 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
                 "phase": random.uniform(0.0, 2.0 * np.pi),
                 "ellipticity": random.uniform(-0.6, 0.6),
             }
+        case "lens_distortion":
+            return _centre(random)
+        case "camera_tilt":
+            return _centre(random) | {"height": random.uniform(1.5, 4.0)}
+        case "rolling_shutter":
+            return {"direction": random.uniform(-0.5 * np.pi, 0.5 * np.pi)}
         case "timestamp_jitter":
             return {"seed": float(random.integers(2**31))}
         case "marker_offset":
@@ -299,6 +314,11 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
             damping = 0.03 * float(2.0 ** random.uniform(-0.7, 0.7))
             return {"mass": 4.0 * spread, "direction": random.uniform(0.0, np.pi), "damping_ratio": damping}
     return {}
+
+
+def _centre(random: np.random.Generator) -> dict[str, float]:
+    """Where a camera's axis meets the plane: within the picture of an arm that turns by a radian to either side."""
+    return {"centre_x": random.uniform(-0.25, 0.75), "centre_y": random.uniform(-0.5, 0.5)}
 
 
 if __name__ == "__main__":

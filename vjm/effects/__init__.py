@@ -37,6 +37,7 @@ from vjm.effects.loads import QuadraticDrag as QuadraticDrag
 from vjm.effects.loads import TipPayload as TipPayload
 from vjm.effects.sensors import CameraRotation as CameraRotation
 from vjm.effects.sensors import CameraScale as CameraScale
+from vjm.effects.sensors import CameraTilt as CameraTilt
 from vjm.effects.sensors import CameraTranslation as CameraTranslation
 from vjm.effects.sensors import CameraVibration as CameraVibration
 from vjm.effects.sensors import ClockScale as ClockScale

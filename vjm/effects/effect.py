@@ -181,8 +181,8 @@ class Effect:
     dissipative: ClassVar[bool] = False  # it can only take energy out of the arm
     in_urdf: ClassVar[bool] = False  # a URDF can carry it
     in_simulators: ClassVar[bool] = False  # a URDF cannot, but simulators' own files can: it is a spring, or gravity
-    # Effects change what the camera sees in this order: the markers themselves, the lens (1), the picture's scale and
-    # turn (2), its shift (3). Otherwise their sizes would depend on which of them a search finds first.
+    # Effects change what the camera sees in this order: the markers themselves, the perspective (1), the lens (2), the
+    # picture's scale and turn (3), its shift (4). Otherwise their sizes would depend on which a search finds first.
     camera_order: ClassVar[int] = 0
     # It makes the motion nonsmooth, as sticking or rattling does: searches for it hold simulated joints near their
     # measured angles, and what remains after a fit need not be noise.

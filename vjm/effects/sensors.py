@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from itertools import product
+from typing import Any, Self
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class CameraScale(Effect):
     reference = "Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. Pattern Analysis 22(11), 2000"
     distinguishing_experiment = "two fiducials at a known distance in the camera's view"
     abscissa = "position"
-    camera_order = 2
+    camera_order = 3
     common = True
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
@@ -67,7 +68,7 @@ class CameraRotation(_CameraEffect):
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "tangential"
-    camera_order = 2
+    camera_order = 3
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Return the reason if nothing else says where the arm points."""
@@ -99,7 +100,7 @@ class CameraTranslation(_CameraEffect):
     )
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; several hub angles"
     abscissa = "marker"
-    camera_order = 3
+    camera_order = 4
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return shifted positions."""
@@ -130,7 +131,7 @@ class CameraVibration(WaveEffect, _CameraEffect):
     )
     distinguishing_experiment = "a fixed fiducial in the camera's view; a quiet recording, in which nothing moves"
     abscissa = "frequency"
-    camera_order = 3
+    camera_order = 4
 
     @property
     def coordinates(self) -> Array:
@@ -177,23 +178,96 @@ class CameraVibration(WaveEffect, _CameraEffect):
 
 
 @dataclass(frozen=True)
-class LensDistortion(_CameraEffect):
-    """A radial distortion about the base's origin: measured = true (1 + k1 r^2)."""
+class _CentredEffect(_CameraEffect):
+    """Deforms the picture about a centre, whose coordinates `centre_x` and `centre_y` are shape parameters."""
 
-    k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5, in_rig_units=True)
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """Return instances with centres in the middle, on the edges and in the corners of what the camera saw."""
+        seen = [recording.markers[np.isfinite(recording.markers).all(axis=-1)] for recording in recordings]
+        points = np.concatenate([np.zeros((1, 2)), *seen])  # the base was in the picture
+        x, y = np.linspace(points.min(axis=0), points.max(axis=0), 3).T.tolist()
+        return tuple(
+            replace(absent, **{"centre_x": centre_x, "centre_y": centre_y})
+            for absent in super().variants(rig, recordings)
+            for centre_x, centre_y in product(x, y)
+        )
 
-    description = "radial lens distortion"
-    clause = "the lens distorts radially, k1 = {k1}"
-    assumptions = "distortion about the base's origin, which the lens's axis meets; one coefficient"
-    reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
-    distinguishing_experiment = "three or more fiducials at known distances in the camera's view"
-    abscissa = "radial"
+
+def _centre() -> Any:
+    """Declare a coordinate of a picture's centre: typically half the arm's length from the base, at most twice."""
+    return shape_parameter("m", 0.5, lower=-2.0, upper=2.0, power=1, in_rig_units=True)
+
+
+def _deformed(positions: Array, centre: tuple[float, float], displacement: Callable[[Array], Array]) -> Array:
+    """Return positions (..., 2) displaced as a function of the places from a centre; the base stays where it is."""
+    origin = np.array(centre)
+    moved: Array = positions + displacement(positions - origin) - displacement(-origin)
+    return moved
+
+
+@dataclass(frozen=True)
+class CameraTilt(_CentredEffect):
+    """A pinhole camera that looks at the plane of motion obliquely: measured = true / (1 + px x + py y) from a centre.
+
+    The centre is the isocentre, where the scale is right: the ray to it halves the angle between the optical axis and
+    the plane's normal. The vector (px, py) points where the plane recedes; its length is the sine of the tilt over the
+    camera's height above the plane. The base is shown where it is: the picture's origin was set to it.
+    """
+
+    px: float = magnitude("1/m", 0.01, lower=-0.2, upper=0.2, in_rig_units=True)
+    py: float = magnitude("1/m", 0.01, lower=-0.2, upper=0.2, in_rig_units=True)
+    centre_x: float = _centre()
+    centre_y: float = _centre()
+
+    description = "camera that looks at the plane of motion obliquely"
+    clause = (
+        "the camera is tilted: its scale falls by {px} along x and {py} along y"
+        "[, from a centre {centre_x} along x][, {centre_y} along y off the base]"
+    )
+    assumptions = "a pinhole; square pixels; markers in one plane; the right scale at the centre, the base in its place"
+    reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
+    distinguishing_experiment = "four fiducials at known places in the camera's view"
+    abscissa = "position"
     camera_order = 1
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return positions in perspective."""
+        slope = np.array([self.px, self.py])
+
+        def displacement(points: Array) -> Array:
+            depth = (points * slope).sum(axis=-1, keepdims=True)
+            return -points * depth / (1 + depth)
+
+        return _deformed(positions, (self.centre_x, self.centre_y), displacement)
+
+
+@dataclass(frozen=True)
+class LensDistortion(_CentredEffect):
+    """A radial distortion about a centre, where the lens's axis meets the plane: measured = true (1 + k1 r^2) from it.
+
+    The base is shown where it is: the picture's origin was set to it.
+    """
+
+    k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5, in_rig_units=True)
+    centre_x: float = _centre()
+    centre_y: float = _centre()
+
+    description = "radial lens distortion"
+    clause = "the lens distorts radially, k1 = {k1}[, its axis {centre_x} along x][, {centre_y} along y off the base]"
+    assumptions = "one coefficient; the right scale at the centre, the base in its place"
+    reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
+    distinguishing_experiment = "three or more fiducials at known distances in the camera's view"
+    abscissa = "radial"
+    camera_order = 2
+
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return distorted positions."""
-        squares: Array = (positions * positions).sum(axis=-1, keepdims=True)
-        return positions * (1 + self.k1 * squares)
+
+        def displacement(points: Array) -> Array:
+            squares = (points * points).sum(axis=-1, keepdims=True)
+            return self.k1 * squares * points
+
+        return _deformed(positions, (self.centre_x, self.centre_y), displacement)
 
 
 @dataclass(frozen=True)
@@ -357,17 +431,47 @@ class TimestampJitter(Effect):
 
 @dataclass(frozen=True)
 class RollingShutter(_CameraEffect):
-    """Rows that are read one after another: a marker is shown as it was earlier, by the readout times its y."""
+    """Rows that are read one after another: a marker is shown as it was earlier, by the readout times its way along it.
+
+    The direction of the readout is from y, against the clock: rows along x are read at zero. A search varies the
+    readout's components along x and y, in which delays are linear.
+    """
 
     readout: float = magnitude("s/m", 0.01, lower=-0.4, upper=0.4, in_rig_units=True)
+    direction: float = shape_parameter("rad", 0.0, lower=-np.pi / 2, upper=np.pi / 2)
 
     description = "rolling shutter: the camera reads its rows one after another"
-    clause = "the camera has a rolling shutter, readout {readout}"
-    assumptions = "rows along x, read at a constant rate; a row through the base's origin taken at the time stamp"
+    clause = "the camera has a rolling shutter, readout {readout} in a direction {direction} from y"
+    assumptions = "straight rows, read at a constant rate; a row through the base's origin taken at the time stamp"
     reference = "C.-K. Liang et al., Analysis and compensation of rolling shutter effect, IEEE Trans. Image Proc., 2008"
     distinguishing_experiment = "fast motion far to both sides of the base"
     abscissa = "velocity"
 
+    @property
+    def coordinates(self) -> Array:
+        """(2,) components of the readout along y and against x, over a typical one."""
+        size = self.parameters[0].coordinate(self.readout)
+        return size * np.array([np.cos(self.direction), np.sin(self.direction)])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other components (2,); without a readout, in direction zero."""
+        along, against = np.asarray(coordinates, dtype=float).tolist()
+        side = -1.0 if along < 0 else 1.0  # half a turn of the direction is the readout's sign
+        size, direction = side * float(np.hypot(along, against)), float(np.arctan2(side * against, side * along))
+        return replace(self, readout=self.parameters[0].value(size), direction=direction)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (2,), (2,) of the components."""
+        low, high = self.parameters[0].bounds
+        return np.full(2, low), np.full(2, high)
+
+    @property
+    def magnitude_count(self) -> int:
+        """Number of magnitudes: of both components."""
+        return 2
+
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return each marker's own instants."""
-        return time if self.is_null else time[:, None] - self.readout * positions[..., 1]
+        readout = self.readout * np.array([-np.sin(self.direction), np.cos(self.direction)])
+        return time if self.is_null else time[:, None] - positions @ readout
