@@ -113,6 +113,7 @@ def test_the_camera_s_own_faults_do_not_show_in_a_link_s_frame() -> None:
     turning = Rig("hub", (replace(LINK, markers_frame="link"),))
     assert set(blind_effects(turning, recording_of(turning))) == {
         "camera_rotation",
+        "camera_tilt",
         "camera_translation",
         "camera_vibration",
         "lens_distortion",

@@ -13,6 +13,7 @@ from tests.model.chains import extended_chain
 from vjm.effects import (
     CameraRotation,
     CameraScale,
+    CameraTilt,
     CameraTranslation,
     CameraVibration,
     ClockScale,
@@ -46,6 +47,19 @@ def test_a_fast_clock_stamps_too_late() -> None:
 def test_rows_are_read_one_after_another() -> None:
     found = RollingShutter(readout=0.01).camera_instants(TIME, POSITIONS)
     assert found == pytest.approx(TIME[:, None] - 0.01 * POSITIONS[:, :, 1])
+    turned = RollingShutter(readout=0.01, direction=0.4).camera_instants(TIME, POSITIONS)
+    assert turned == pytest.approx(TIME[:, None] - 0.01 * (np.exp(-0.4j) * (POSITIONS @ [1, 1j])).imag)
+
+
+@given(st.floats(0.01, 0.4), st.sampled_from([1.0, -1.0]), st.floats(-1.57, 1.57))
+def test_a_readout_comes_back_from_the_components_in_which_it_is_searched(
+    size: float, side: float, direction: float
+) -> None:
+    shutter = RollingShutter(readout=side * size, direction=direction)
+    assert shutter.at(shutter.coordinates).values == pytest.approx(shutter.values)
+    assert shutter.at(-shutter.coordinates).readout == pytest.approx(-shutter.readout)
+    assert shutter.at(np.zeros(2)).is_null
+    assert shutter.magnitude_count == shutter.coordinates.size == 2
 
 
 def test_a_camera_scales_turns_and_distorts_about_the_base() -> None:
@@ -57,6 +71,44 @@ def test_a_camera_scales_turns_and_distorts_about_the_base() -> None:
     assert np.exp(0.3j) * (POSITIONS @ [1, 1j]) == pytest.approx(turned @ [1, 1j])
     bent = LensDistortion(k1=-0.02).marker_positions(POSITIONS, HEADINGS, TIME)
     assert np.linalg.norm(bent, axis=-1) == pytest.approx(radius * (1 - 0.02 * radius**2))
+
+
+@given(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_a_tilted_camera_sees_straight_lines_and_the_right_scale_at_its_centre(
+    px: float, py: float, x: float, y: float
+) -> None:
+    camera = CameraTilt(px=px, py=py, centre_x=x, centre_y=y)
+    line = np.array([x, y]) + np.multiply.outer(np.array([-1.0, -1e-6, 0.0, 1e-6, 2.0]), np.array([0.6, -0.8]))
+    seen = camera.marker_positions(line[None], np.zeros((1, 5)), np.zeros(1))[0] @ [1, 1j]
+    assert ((seen - seen[2]) / (0.6 - 0.8j)).imag == pytest.approx(0, abs=1e-12)
+    assert abs(seen[3] - seen[1]) == pytest.approx(2e-6)
+    # The way to where the plane recedes to infinity is halved where it is as far again.
+    base = camera.marker_positions(np.zeros((1, 1, 2)), np.zeros((1, 1)), np.zeros(1))
+    assert_array_equal(base, np.zeros((1, 1, 2)))
+    if np.hypot(px, py) > 1e-3:
+        away = np.array([px, py]) / (px * px + py * py)
+        far = np.array([x, y]) + np.multiply.outer([0.0, 1.0], away)
+        ends = camera.marker_positions(far[None], np.zeros((1, 2)), np.zeros(1))[0]
+        assert ends[1] - ends[0] == pytest.approx(away / 2)
+
+
+def test_a_lens_distorts_about_its_axis_and_leaves_the_base() -> None:
+    lens = LensDistortion(k1=0.03, centre_x=0.4, centre_y=-0.2)
+    seen = lens.marker_positions(POSITIONS, HEADINGS, TIME) @ [1, 1j]
+    off = POSITIONS @ [1, 1j] - (0.4 - 0.2j)
+    base = -(0.4 - 0.2j) * (1 + 0.03 * 0.2)
+    assert seen == pytest.approx(off * (1 + 0.03 * np.abs(off) ** 2) - base)
+
+
+@pytest.mark.parametrize("effect", [LensDistortion(), CameraTilt()])
+def test_searches_start_from_centres_all_over_the_picture(effect: LensDistortion | CameraTilt) -> None:
+    recording = recording_of(RIG)
+    points = np.concatenate([np.zeros((1, 2)), recording.markers.reshape(-1, 2)])
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    centres = [[each.centre_x, each.centre_y] for each in effect.variants(RIG, [recording])]
+    assert len(centres) == 9
+    assert np.unique(np.round((np.array(centres) - low) / (high - low), 9)).tolist() == [0.0, 0.5, 1.0]
+    assert [(each.centre_x, each.centre_y) for each in effect.variants(RIG, [])] == [(0.0, 0.0)]
 
 
 def test_a_shifted_camera_shifts_all_markers_alike_whichever_way_they_point() -> None:
@@ -129,15 +181,17 @@ def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
         assert displaced[:, own] @ [1, 1j] == pytest.approx(expected)
 
 
-@given(st.permutations(range(6)))
+@given(st.permutations(range(7)))
 def test_what_a_camera_sees_does_not_depend_on_the_order_of_causes(order: list[int]) -> None:
-    """An offset marker is turned with the rest of the picture, which is shifted last."""
+    """An offset marker is turned with the rest of the picture, which the lens has bent and which is shifted last."""
     offset = MarkerOffset(link=1, marker=2, first=1, along=0.3, across=-0.1)
     scale, turn, shift = CameraScale(scale=1.2), CameraRotation(angle=0.4), CameraTranslation(dx=0.2, dy=-0.5)
     shake, lens = CameraVibration(amplitude=0.1, frequency=1.3, direction=0.5), LensDistortion(k1=0.05)
-    effects = (shift, turn, shake, lens, offset, scale)
+    tilt = CameraTilt(px=0.1, py=-0.05)
+    effects = (shift, turn, shake, lens, offset, scale, tilt)
     arm = Arm.of(extended_chain(), [effects[k] for k in order])
-    moved = (offset.marker_positions(POSITIONS, HEADINGS, TIME)) @ [1, 1j]
+    displaced = offset.marker_positions(POSITIONS, HEADINGS, TIME)
+    moved = displaced @ [1, 1j] / (1 + displaced @ [0.1, -0.05])
     expected = 1.2 * np.exp(0.4j) * moved * (1 + 0.05 * np.abs(moved) ** 2) + 0.2 - 0.5j
     expected += 0.1 * (np.sin(2.6 * np.pi * TIME) * np.exp(0.5j))[:, None]
     assert arm.marker_positions(POSITIONS, HEADINGS, TIME) @ [1, 1j] == pytest.approx(expected)

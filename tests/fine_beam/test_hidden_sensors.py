@@ -48,6 +48,25 @@ def test_a_rolling_shutter_sees_each_marker_when_its_row_is_read(seen: Motion) -
     assert np.abs(shown - seen.at(STAMPS).positions(MARKERS)).max() > 1e-3
 
 
+def test_a_readout_may_be_in_any_direction(seen: Motion) -> None:
+    shown = shown_markers(seen, STAMPS, MARKERS, Faults(rolling_shutter_readout=0.05, rolling_shutter_direction=-2.0))
+    way = (np.exp(2.0j) * (shown @ [1, 1j])).imag
+    for marker, arc in enumerate(MARKERS):
+        instant = np.array([STAMPS[60] - 0.05 * way[60, marker]])
+        np.testing.assert_allclose(seen.at(instant).positions([arc])[0, 0], shown[60, marker], atol=1e-6)
+
+
+def test_a_tilted_camera_shows_a_homography_with_its_scale_right_at_the_isocentre(seen: Motion) -> None:
+    """Whatever the camera's height: closed form, against rays in space."""
+    truth = seen.at(STAMPS).positions(MARKERS)
+    centre, slope = np.array([0.3, -0.2]), np.array([0.02, 0.05])
+    closed = (truth - centre) / (1.0 + (truth - centre) @ slope)[..., None] + centre / (1.0 - centre @ slope)
+    named = {"camera_tilt_px": 0.02, "camera_tilt_py": 0.05, "camera_tilt_centre_x": 0.3, "camera_tilt_centre_y": -0.2}
+    for height in (0.5, 2.0, 8.0):
+        shown = shown_markers(seen, STAMPS, MARKERS, Faults(**named, camera_tilt_height=height))
+        np.testing.assert_allclose(shown, closed, atol=1e-13)
+
+
 def test_distortions_of_the_image(seen: Motion) -> None:
     truth = seen.at(STAMPS).positions(MARKERS)
     flat = truth[..., 0] + 1j * truth[..., 1]
@@ -58,6 +77,11 @@ def test_distortions_of_the_image(seen: Motion) -> None:
         # The camera stands aside of the base and is turned: the shift is seen along its own axes.
         (Faults(camera_rotation_angle=0.5, camera_translation_dx=0.01), np.exp(0.5j) * flat + 0.01),
         (Faults(lens_distortion_k1=0.02), (1.0 + 0.02 * np.abs(flat) ** 2) * flat),
+        # About the point i, which the base is one away from.
+        (
+            Faults(lens_distortion_k1=0.02, lens_distortion_centre_y=1.0),
+            flat + 0.02 * np.abs(flat - 1.0j) ** 2 * (flat - 1.0j) + 0.02j,
+        ),
     ):
         shown = shown_markers(seen, STAMPS, MARKERS, faults)
         np.testing.assert_allclose(shown[..., 0] + 1j * shown[..., 1], expected, atol=1e-14)

@@ -145,6 +145,25 @@ def test_a_hub_has_its_radius(tmp_path: Path, seed: int) -> None:
 @pytest.mark.parametrize(
     ("effect", "seed"),
     [
+        ("lens_distortion", 921),
+        *(pytest.param("camera_tilt", seed, marks=pytest.mark.slow) for seed in (921, 922, 923)),
+        *(pytest.param("lens_distortion", seed, marks=pytest.mark.slow) for seed in (922, 923)),
+        *(pytest.param("rolling_shutter", seed, marks=pytest.mark.slow) for seed in (921, 922, 923)),
+    ],
+)
+def test_a_camera_is_set_up_in_any_way(tmp_path: Path, effect: str, seed: int) -> None:
+    """Its axis meets the plane anywhere and obliquely, and its rows are read in any direction."""
+    truth = write_hidden(tmp_path, "hub", [draw(effect, seed)], seed)
+    candidates = ["camera_tilt", "lens_distortion", "rolling_shutter", "camera_scale", "camera_translation"]
+    diagnosis = diagnosed(tmp_path / "experiment.toml", [*candidates, "marker_offset"])
+    assert diagnosis.verdict == "named"
+    assert_found(diagnosis, truth)
+    assert_sizes(diagnosis, truth)
+
+
+@pytest.mark.parametrize(
+    ("effect", "seed"),
+    [
         ("payload_body", 921),
         *(pytest.param("payload_body", seed, marks=pytest.mark.slow) for seed in (922, 924, 925)),
         *(pytest.param("tip_payload", seed, marks=pytest.mark.slow) for seed in (921, 922, 924)),

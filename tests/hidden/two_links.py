@@ -37,7 +37,7 @@ EFFECTS = (
     *MECHANICAL,
     *("torque_gain", "torque_offset", "encoder_offset", "marker_offset"),
     *("time_offset", "clock_scale", "camera_scale", "camera_rotation", "camera_translation", "lens_distortion"),
-    *("rolling_shutter", "camera_vibration", "timestamp_jitter"),
+    *("rolling_shutter", "camera_vibration", "timestamp_jitter", "camera_tilt"),
 )
 # Where the elbow whips, at up to 27 rad/s, tips are within 0.04 mm of the converged motion in time and 0.13 mm in the
 # number of segments after 5 s; half the segments and twice the step are 0.5 and 0.17 mm off, as much as cameras' noise.

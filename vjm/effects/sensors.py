@@ -185,11 +185,11 @@ class _CentredEffect(_CameraEffect):
         """Return instances with centres in the middle, on the edges and in the corners of what the camera saw."""
         seen = [recording.markers[np.isfinite(recording.markers).all(axis=-1)] for recording in recordings]
         points = np.concatenate([np.zeros((1, 2)), *seen])  # the base was in the picture
-        x, y = np.linspace(points.min(axis=0), points.max(axis=0), 3).T.tolist()
+        x, y = map(np.unique, np.linspace(points.min(axis=0), points.max(axis=0), 3).T)
         return tuple(
             replace(absent, **{"centre_x": centre_x, "centre_y": centre_y})
             for absent in super().variants(rig, recordings)
-            for centre_x, centre_y in product(x, y)
+            for centre_x, centre_y in product(x.tolist(), y.tolist())
         )
 
 
@@ -236,7 +236,8 @@ class CameraTilt(_CentredEffect):
 
         def displacement(points: Array) -> Array:
             depth = (points * slope).sum(axis=-1, keepdims=True)
-            return -points * depth / (1 + depth)
+            moved: Array = -points * depth / (1 + depth)
+            return moved
 
         return _deformed(positions, (self.centre_x, self.centre_y), displacement)
 
@@ -264,7 +265,7 @@ class LensDistortion(_CentredEffect):
         """Return distorted positions."""
 
         def displacement(points: Array) -> Array:
-            squares = (points * points).sum(axis=-1, keepdims=True)
+            squares: Array = (points * points).sum(axis=-1, keepdims=True)
             return self.k1 * squares * points
 
         return _deformed(positions, (self.centre_x, self.centre_y), displacement)
