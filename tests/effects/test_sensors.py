@@ -19,6 +19,7 @@ from vjm.effects import (
     ClockScale,
     EncoderOffset,
     LensDistortion,
+    MarkerDatum,
     MarkerOffset,
     RollingShutter,
     TimeOffset,
@@ -179,6 +180,19 @@ def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
         assert not np.delete(displaced, own, axis=1).any()
         expected = (2 - 1j) * 0.005 * RIG.links[each.link].length * np.exp(1j * HEADINGS[:, own])
         assert displaced[:, own] @ [1, 1j] == pytest.approx(expected)
+
+
+def test_all_markers_of_a_link_are_displaced_alike() -> None:
+    variants = MarkerDatum().variants(RIG, [recording_of(RIG)])
+    assert [(each.link, each.columns) for each in variants] == [(1, (1, 2, 3)), (2, (4, 5))]
+    for each in variants:
+        alone = [marker for marker in MarkerOffset().variants(RIG, []) if marker.link == each.link]
+        expected = POSITIONS
+        for marker in alone:
+            expected = marker.at(np.array([2.0, -1.0])).marker_positions(expected, HEADINGS, TIME)
+        assert_array_equal(each.at(np.array([2.0, -1.0])).marker_positions(POSITIONS, HEADINGS, TIME), expected)
+    everything = MarkerDatum(along=0.1, across=-0.2).marker_positions(POSITIONS, HEADINGS, TIME) - POSITIONS
+    assert everything @ [1, 1j] == pytest.approx((0.1 - 0.2j) * np.exp(1j * HEADINGS))
 
 
 @given(st.permutations(range(7)))

@@ -46,6 +46,7 @@ class Faults:
             about those of their stamps, which is normal up to four times as much; of the random numbers.
         marker_offset_marker: index of the misplaced marker, from 1; 0: none.
         marker_offset_along, marker_offset_across: where it is, less where it should be, m.
+        marker_datum_along, marker_datum_across: where all markers are, less where they should be, m.
     """
 
     time_offset_delay: float = 0.0
@@ -75,6 +76,8 @@ class Faults:
     marker_offset_marker: int = 0
     marker_offset_along: float = 0.0
     marker_offset_across: float = 0.0
+    marker_datum_along: float = 0.0
+    marker_datum_across: float = 0.0
 
     def margin(self, duration: float, length: float) -> float:
         """How far before its start and after its end, s, a recording of `duration` s sees an arm of `length` m."""
@@ -95,10 +98,11 @@ def shown_markers(
 
     The recording's number makes the instants' random errors its own.
     """
-    arcs, across = np.array(arc_lengths, dtype=float), np.zeros(len(arc_lengths))
+    arcs = np.array(arc_lengths, dtype=float) + faults.marker_datum_along
+    across = np.full(len(arc_lengths), faults.marker_datum_across)
     if faults.marker_offset_marker:
         arcs[faults.marker_offset_marker - 1] += faults.marker_offset_along
-        across[faults.marker_offset_marker - 1] = faults.marker_offset_across
+        across[faults.marker_offset_marker - 1] += faults.marker_offset_across
     time = stamps / faults.clock_scale_scale - faults.time_offset_delay
     if faults.timestamp_jitter_jitter:
         errors = np.random.default_rng([faults.timestamp_jitter_seed, recording]).standard_normal(len(stamps))

@@ -141,6 +141,15 @@ def test_one_misplaced_marker(seen: Motion, marker: int) -> None:
     assert np.linalg.norm(beyond[:, marker - 1] - here, axis=-1) == pytest.approx(0.01, rel=1e-4)
 
 
+def test_a_ruler_that_began_elsewhere_displaces_all_markers(seen: Motion) -> None:
+    one = Faults(marker_datum_along=-0.01, marker_datum_across=0.002)
+    shown = shown_markers(seen, STAMPS, MARKERS, one)
+    for marker in range(5):
+        alone = Faults(marker_offset_marker=marker + 1, marker_offset_along=-0.01, marker_offset_across=0.002)
+        expected = shown_markers(seen, STAMPS, MARKERS, alone)[:, marker]
+        np.testing.assert_allclose(shown[:, marker], expected, atol=1e-15)
+
+
 def test_null_values_are_those_of_no_effect() -> None:
     assert Physics() == Physics(**{each.name: each.default for each in fields(Physics)})  # type: ignore[arg-type]
     assert Faults().margin(5.0, 1.0) == 0.0

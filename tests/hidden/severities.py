@@ -76,6 +76,7 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "timestamp_jitter": {"jitter": Size(0.002)},
     "payload_body": {"offset": Size(0.02, True)},
     "hub_radius": {"radius": Size(0.005)},
+    "marker_datum": {"along": Size(0.005, True), "across": Size(0.001, True)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
 OBLIQUITY = np.sin(np.deg2rad(1.0)) / 2.0  # 1/m, of a camera tilted by a degree 2 m above the plane
@@ -141,6 +142,8 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("timestamp_jitter", "jitter"): (0, 0, 1),
     ("marker_offset", "along"): (1, 0, 0),
     ("marker_offset", "across"): (1, 0, 0),
+    ("marker_datum", "along"): (1, 0, 0),
+    ("marker_datum", "across"): (1, 0, 0),
     ("camera_translation", "dx"): (1, 0, 0),
     ("camera_translation", "dy"): (1, 0, 0),
     ("camera_vibration", "amplitude"): (1, 0, 0),

@@ -43,6 +43,7 @@ from vjm.effects.sensors import CameraVibration as CameraVibration
 from vjm.effects.sensors import ClockScale as ClockScale
 from vjm.effects.sensors import EncoderOffset as EncoderOffset
 from vjm.effects.sensors import LensDistortion as LensDistortion
+from vjm.effects.sensors import MarkerDatum as MarkerDatum
 from vjm.effects.sensors import MarkerOffset as MarkerOffset
 from vjm.effects.sensors import RollingShutter as RollingShutter
 from vjm.effects.sensors import TimeOffset as TimeOffset

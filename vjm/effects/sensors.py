@@ -317,9 +317,49 @@ class MarkerOffset(LinkEffect):
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return the positions with that marker displaced."""
-        displaced, heading = positions.copy(), headings[..., self.column]
-        displaced[..., self.column, :] += rotate(np.array([self.along, self.across]), heading)
-        return displaced
+        return _displaced(positions, headings, [self.column], (self.along, self.across))
+
+
+@dataclass(frozen=True)
+class MarkerDatum(LinkEffect):
+    """All markers of a link that are not where the rig's file says, by the same vector: the ruler began elsewhere.
+
+    Attributes:
+        along, across: where they are, less where they should be, along the link's tangent and normal [m].
+        columns: numbers of the link's markers among all links' markers; None: all, right on an arm of one link.
+    """
+
+    along: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+    across: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+    columns: tuple[int, ...] | None = field(default=None, kw_only=True)
+
+    description = "datum of the markers: all of a link are off by the same distance"
+    clause = "all markers of '{link}' are off by {along} along and {across} across the link"
+    assumptions = "markers that move rigidly with the link, the same offset of all in every recording"
+    reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
+    distinguishing_experiment = "measure the first marker's distance from the joint's axis with a ruler"
+    abscissa = "marker"
+
+    def places(self, rig: Rig) -> tuple[int | None, ...]:
+        """Return the links with several markers; one alone is a misplaced marker."""
+        return tuple(i for i, link in enumerate(rig.links) if len(link.markers) > 1)
+
+    def placed(self, rig: Rig, link: int | None) -> Self:
+        """Return the effect on a link of a rig, with the link's markers."""
+        part = rig.marker_slices[link or 0]
+        return replace(super().placed(rig, link), columns=tuple(range(part.start, part.stop)))
+
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return the positions with the link's markers displaced."""
+        columns = range(positions.shape[-2]) if self.columns is None else self.columns
+        return _displaced(positions, headings, columns, (self.along, self.across))
+
+
+def _displaced(positions: Array, headings: Array, columns: Sequence[int], offset: tuple[float, float]) -> Array:
+    """Return positions (..., k, 2) with the markers in some columns displaced along the link's tangent and normal."""
+    moved, own = positions.copy(), [*columns]
+    moved[..., own, :] += rotate(np.array(offset), headings[..., own])
+    return moved
 
 
 @dataclass(frozen=True)
