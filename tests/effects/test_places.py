@@ -22,6 +22,7 @@ JOINT = {
     "gear_elasticity",
     "backlash",
     "encoder_offset",
+    "encoder_eccentricity",
     "actuator_lag",
     "torque_saturation",
     "cogging",
@@ -97,10 +98,10 @@ def test_without_a_torque_there_is_none_that_is_wrong() -> None:
 
 def test_without_an_encoder_there_is_none_that_is_wrong() -> None:
     pulled = without(recording_of(HUB), "theta")
-    assert set(blind_effects(HUB, pulled)) == {"encoder_offset"}
+    assert set(blind_effects(HUB, pulled)) == {"encoder_offset", "encoder_eccentricity"}
     # In free space the arm may as well point elsewhere.
     floating = replace(pulled, gravity=(0.0, 0.0))
-    assert set(blind_effects(HUB, floating)) == {"encoder_offset", "camera_rotation"}
+    assert set(blind_effects(HUB, floating)) == {"encoder_offset", "encoder_eccentricity", "camera_rotation"}
 
 
 def test_a_camera_alone_has_no_clock_to_compare_with() -> None:

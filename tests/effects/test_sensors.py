@@ -17,6 +17,7 @@ from vjm.effects import (
     CameraTranslation,
     CameraVibration,
     ClockScale,
+    EncoderEccentricity,
     EncoderOffset,
     LensDistortion,
     MarkerDatum,
@@ -217,9 +218,26 @@ def test_a_marker_of_a_later_link_needs_its_rig() -> None:
         _ = MarkerOffset(marker=2, along=0.1, link=1).column
 
 
+@given(st.floats(0.0, 0.01), st.floats(-3.14, 3.14))
+def test_an_eccentric_disc_is_read_by_a_head_that_stands_still(eccentricity: float, azimuth: float) -> None:
+    """Closed form, of first order in the eccentricity, against the geometry of a disc whose centre goes round the axis.
+
+    The head, at one from the axis, reads the direction in which it sees the centre, in the disc's own frame.
+    """
+    theta = np.linspace(-3.0, 3.0, 25)
+    head = np.exp(0.3j)
+    centre = eccentricity * np.exp(1j * (azimuth + theta))
+    read = theta - np.unwrap(np.angle((head - centre) / head))
+    phasor = eccentricity * np.exp(1j * (azimuth - 0.3))
+    encoder = EncoderEccentricity(sine=phasor.real, cosine=phasor.imag)
+    found = encoder.encoder_angles(theta[:, None])[:, 0]
+    assert found == pytest.approx(read - read[12], abs=2 * eccentricity**2 + 1e-12)
+    assert found[12] == 0.0
+
+
 def test_torques_and_encoders_are_those_of_the_joint_whatever_is_clamped_before_it() -> None:
     recording = recording_of(RIG)
-    for effect in (TorqueGain(), TorqueOffset(), EncoderOffset()):
+    for effect in (TorqueGain(), TorqueOffset(), EncoderOffset(), EncoderEccentricity()):
         assert [(each.link, each.column) for each in effect.variants(RIG, [])] == [(1, 0), (2, 1)]
     gain, offset, encoder = (
         effect.variants(RIG, [])[1].at(np.ones(1)) for effect in (TorqueGain(), TorqueOffset(), EncoderOffset())

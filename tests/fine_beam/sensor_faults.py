@@ -34,6 +34,7 @@ class Faults:
         camera_vibration_direction, camera_vibration_ellipticity: of the long axis from x, rad; short over long axis,
             positive if they go round against the clock.
         encoder_offset_offset: encoder less true angle, rad.
+        encoder_eccentricity_sine, encoder_eccentricity_cosine: of the angle, in what the encoder shows too much, rad.
         camera_tilt_px, camera_tilt_py: of a camera that looks at the plane obliquely, the sine of its tilt over its
             height, along the direction in which the plane recedes, 1/m.
         camera_tilt_centre_x, camera_tilt_centre_y: of the isocentre in the plane, where the scale is right, m.
@@ -61,6 +62,8 @@ class Faults:
     camera_vibration_phase: float = 0.0
     camera_vibration_ellipticity: float = 0.0
     encoder_offset_offset: float = 0.0
+    encoder_eccentricity_sine: float = 0.0
+    encoder_eccentricity_cosine: float = 0.0
     camera_tilt_px: float = 0.0
     camera_tilt_py: float = 0.0
     camera_tilt_centre_x: float = 0.0
@@ -78,6 +81,11 @@ class Faults:
     marker_offset_across: float = 0.0
     marker_datum_along: float = 0.0
     marker_datum_across: float = 0.0
+
+    @property
+    def encoder_eccentricity_phasor(self) -> complex:
+        """Eccentricity over the radius of the disc's graduation, as a vector that turns with the joint."""
+        return complex(self.encoder_eccentricity_sine, self.encoder_eccentricity_cosine)
 
     def margin(self, duration: float, length: float) -> float:
         """How far before its start and after its end, s, a recording of `duration` s sees an arm of `length` m."""
@@ -176,4 +184,7 @@ def _shake(time: Array, faults: Faults) -> Array:
 
 def shown_angle(motion: Motion, time: Array, faults: Faults) -> Array:
     """What an encoder without noise shows at instants (e,) in s: the joint's angle, rad, (e,)."""
-    return np.asarray(motion.at(time).theta + faults.encoder_offset_offset)
+    theta = motion.at(time).theta
+    # The disc's centre turns about the axis; the head stays where it is, and the encoder is set to zero at zero.
+    wobble = np.imag(faults.encoder_eccentricity_phasor * (np.exp(1j * theta) - 1.0))
+    return np.asarray(theta + wobble + faults.encoder_offset_offset)

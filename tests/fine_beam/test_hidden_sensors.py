@@ -28,6 +28,9 @@ def test_a_good_camera_and_encoder_show_the_motion(seen: Motion) -> None:
     np.testing.assert_allclose(shown_markers(seen, STAMPS, MARKERS, Faults()), expected.positions(MARKERS), atol=1e-15)
     np.testing.assert_array_equal(shown_angle(seen, STAMPS, Faults()), expected.theta)
     np.testing.assert_allclose(shown_angle(seen, STAMPS, Faults(encoder_offset_offset=0.01)), expected.theta + 0.01)
+    eccentric = Faults(encoder_eccentricity_sine=0.02, encoder_eccentricity_cosine=-0.01)
+    error = 0.02 * np.sin(expected.theta) - 0.01 * (np.cos(expected.theta) - 1.0)
+    np.testing.assert_allclose(shown_angle(seen, STAMPS, eccentric), expected.theta + error)
 
 
 def test_late_and_fast_cameras_show_other_instants(seen: Motion) -> None:

@@ -85,6 +85,7 @@ VECTORS: Mapping[str, tuple[tuple[str, str], float]] = {
     "in_plane_gravity": (("gx", "gy"), TILT),
     "camera_translation": (("dx", "dy"), 0.003),
     "camera_tilt": (("px", "py"), OBLIQUITY),
+    "encoder_eccentricity": (("sine", "cosine"), 0.005),
 }
 
 # What a clamped arm, slow and slightly bent, hardly shows at the size that is plain on a turning one.
@@ -150,7 +151,7 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("camera_vibration", "frequency"): (0, 0, -1),
 }
 
-EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation", "camera_tilt")
+EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation", "camera_tilt", "encoder_eccentricity")
 _ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
 _JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one; none has a known payload.
@@ -163,6 +164,7 @@ ONLY_WITH_HUB = (
     "time_offset",
     "clock_scale",
     "encoder_offset",
+    "encoder_eccentricity",
 )
 
 # What no recording of the rig, or next to none, can tell apart.

@@ -146,17 +146,21 @@ def test_a_hub_has_its_radius(tmp_path: Path, seed: int) -> None:
     ("effect", "seed"),
     [
         ("lens_distortion", 921),
+        *(pytest.param("encoder_eccentricity", seed, marks=pytest.mark.slow) for seed in (921, 922)),
         *(pytest.param("marker_datum", seed, marks=pytest.mark.slow) for seed in (921, 922, 923)),
         *(pytest.param("camera_tilt", seed, marks=pytest.mark.slow) for seed in (921, 922, 923)),
         *(pytest.param("lens_distortion", seed, marks=pytest.mark.slow) for seed in (922, 923)),
         *(pytest.param("rolling_shutter", seed, marks=pytest.mark.slow) for seed in (921, 922, 923)),
     ],
 )
-def test_cameras_and_markers_are_set_up_in_any_way(tmp_path: Path, effect: str, seed: int) -> None:
+def test_sensors_are_set_up_in_any_way(tmp_path: Path, effect: str, seed: int) -> None:
     """A camera's axis meets the plane anywhere and obliquely, rows are read in any direction, rulers begin anywhere."""
     truth = write_hidden(tmp_path, "hub", [draw(effect, seed)], seed)
     cameras = ["camera_tilt", "lens_distortion", "rolling_shutter", "camera_scale", "camera_translation"]
-    diagnosis = diagnosed(tmp_path / "experiment.toml", [*cameras, "marker_datum", "marker_offset", "hub_radius"])
+    encoders = ["encoder_eccentricity", "encoder_offset"]
+    diagnosis = diagnosed(
+        tmp_path / "experiment.toml", [*cameras, "marker_datum", "marker_offset", "hub_radius", *encoders]
+    )
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
     assert_sizes(diagnosis, truth)

@@ -41,6 +41,7 @@ from vjm.effects.sensors import CameraTilt as CameraTilt
 from vjm.effects.sensors import CameraTranslation as CameraTranslation
 from vjm.effects.sensors import CameraVibration as CameraVibration
 from vjm.effects.sensors import ClockScale as ClockScale
+from vjm.effects.sensors import EncoderEccentricity as EncoderEccentricity
 from vjm.effects.sensors import EncoderOffset as EncoderOffset
 from vjm.effects.sensors import LensDistortion as LensDistortion
 from vjm.effects.sensors import MarkerDatum as MarkerDatum

@@ -587,7 +587,7 @@ class ColumnEffect(JointEffect):
         """Number of the joint's column."""
         return self.link_index if self.column is None else self.column
 
-    def with_column(self, values: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
+    def with_column(self, values: Array, gain: float = 1.0, offset: float | Array = 0.0) -> Array:
         """Return values (T, n_a) with the joint's column times a gain, and an offset added."""
         changed, column = values.copy(), self.own_column
         changed[:, column] = gain * values[:, column] + offset

@@ -194,8 +194,8 @@ class _CentredEffect(_CameraEffect):
 
 
 def _centre() -> Any:
-    """Declare a coordinate of a picture's centre: typically half the arm's length from the base, at most twice."""
-    return shape_parameter("m", 0.5, lower=-2.0, upper=2.0, power=1, in_rig_units=True)
+    """Declare a coordinate of a picture's centre: typically half the arm's length from the base, at most all of it."""
+    return shape_parameter("m", 0.5, lower=-1.0, upper=1.0, power=1, in_rig_units=True)
 
 
 def _deformed(positions: Array, centre: tuple[float, float], displacement: Callable[[Array], Array]) -> Array:
@@ -379,6 +379,28 @@ class EncoderOffset(ColumnEffect):
     def encoder_angles(self, theta: Array) -> Array:
         """Return shifted angles."""
         return self.with_column(theta, offset=self.offset)
+
+
+@dataclass(frozen=True)
+class EncoderEccentricity(ColumnEffect):
+    """An encoder whose disc is off the joint's axis: it reads sine sin(theta) + cosine (cos(theta) - 1) too much."""
+
+    sine: float = magnitude("rad", 0.005, lower=-0.2, upper=0.2)
+    cosine: float = magnitude("rad", 0.005, lower=-0.2, upper=0.2)
+
+    on_drive = False
+    description = "eccentric encoder: an error that returns with every turn of the joint"
+    clause = "the encoder of '{link}' is eccentric: it reads {sine} sin(angle) and {cosine} (cos(angle) - 1) too much"
+    assumptions = "one wave in a turn of the joint, on whose side the encoder is; an encoder set to zero at zero"
+    reference = "L. M. Sanchez-Brea and T. Morlanes, Metrological errors in optical encoders, Meas. Sci. Technol., 2008"
+    distinguishing_experiment = "a slow sweep of the joint over a whole turn; a second reading head opposite the first"
+    column_of = "theta"
+
+    def encoder_angles(self, theta: Array) -> Array:
+        """Return angles with the error."""
+        angle = theta[:, self.own_column]
+        error = self.sine * np.sin(angle) + self.cosine * (np.cos(angle) - 1)
+        return self.with_column(theta, offset=error)
 
 
 @dataclass(frozen=True)
