@@ -233,7 +233,7 @@ def test_it_says_what_it_is(effect: Effect) -> None:
 
 def test_those_that_a_urdf_can_carry_are_known() -> None:
     of_joints = {"base_compliance", "clamp_compliance", "viscous_friction", "coulomb_friction"}
-    carried = {"taper", "tip_payload", "payload_body", "hub_radius", *of_joints}
+    carried = {"taper", "tip_payload", "payload_body", "marker_mass", "hub_radius", *of_joints}
     assert {effect.id for effect in BUILTIN if effect.in_urdf} == carried
 
 
@@ -284,7 +284,7 @@ def from_table(text: str) -> dict[str, tuple[str, str]]:
 def test_ids_parameters_units_and_nulls_are_the_published_ones() -> None:
     rows, built = published(), {effect.id for effect in BUILTIN}
     proposed = {identifier for identifier, (_, table) in rows.items() if table == "Additions"}
-    further = {"payload_body", "hub_radius", "camera_tilt", "marker_datum", "encoder_eccentricity"}
+    further = {"payload_body", "hub_radius", "camera_tilt", "marker_datum", "marker_mass", "encoder_eccentricity"}
     assert rows.keys() - proposed <= built <= rows.keys() | further
     for effect in (each for each in BUILTIN if each.id in rows):
         parameters, table = rows[effect.id]

@@ -28,6 +28,7 @@ from vjm.effects import (
     InPlaneGravity,
     JointSpring,
     LinearDrag,
+    MarkerMass,
     PayloadBody,
     QuadraticDrag,
     RestCurvature,
@@ -285,6 +286,30 @@ def test_a_known_payload_that_is_no_point_is_the_body_that_it_is() -> None:
     both = body.with_another(Payload(0.01, 0.04, 0.01 * 0.1**2))
     for last, first in ((effect, other), (other, effect)):  # whichever a search found first
         assert last.chain(first.chain(chain)).links[1].payload_body == pytest.approx(both)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), st.floats(1e-4, 1.0))
+def test_markers_that_weigh_something_are_points_on_the_link(fractions: list[float], mass: float) -> None:
+    """Mass, and first and second moment about the proximal end, whichever virtual links they are on."""
+    chain = chain_of(POST, LINK)
+    arcs = [fraction * chain.links[1].length for fraction in fractions]
+    heavy = MarkerMass(mass=mass, arcs=tuple(arcs), link=1).chain(chain)
+    assert heavy.links[0] is chain.links[0]
+
+    def moments(of: Chain) -> Array:
+        link = of.links[1]
+        places = np.cumsum(link.lengths) - link.lengths + link.mass_centers
+        second = link.inertias.sum() + link.masses @ places**2
+        return np.array([link.masses.sum(), link.masses @ places, second])
+
+    added = mass * np.array([[1.0, arc, arc**2] for arc in arcs]).sum(axis=0)
+    assert moments(heavy) - moments(chain) == pytest.approx(added, rel=1e-9, abs=1e-12)
+    assert (heavy.links[1].inertias >= 0).all()
+
+
+def test_a_marker_on_the_tip_is_a_payload() -> None:
+    marker = MarkerMass(mass=0.03, arcs=(LINK.length,)).chain(HUB)
+    assert modes(marker).frequencies == pytest.approx(modes(TipPayload(mass=0.03).chain(HUB)).frequencies)
 
 
 def test_an_arm_carries_its_payload_as_effects_say() -> None:

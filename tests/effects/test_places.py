@@ -41,6 +41,7 @@ LINKS = {
     "taper",
     "stiffness_asymmetry",
     "marker_offset",
+    "marker_mass",
 }
 TIP = {"tip_payload", "payload_body", "external_tone"}
 

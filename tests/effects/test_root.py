@@ -11,7 +11,7 @@ from tests.effects.setups import LINK, POST, chain_of
 from tests.effects.test_forces import driven
 from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
-from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity, HubRadius
+from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity, HubRadius, MarkerMass
 from vjm.model.modes import modes
 from vjm.records import NO_PAYLOAD, Rig
 from vjm.simulation.arm import Arm
@@ -70,22 +70,35 @@ def test_a_motor_and_a_hub_lose_what_two_inertias_lose() -> None:
 DAMPED = GearElasticity(stiffness=60.0, motor_share=0.35, damping=0.3), ClampCompliance(compliance=0.01, damping=4.0)
 
 
-@pytest.mark.parametrize("effect", DAMPED, ids=lambda effect: effect.id)
-def test_a_damper_acts_on_a_chain_as_on_a_continuous_beam(effect: Effect) -> None:
-    """It changes a driven motion by as much."""
+def changes_by_effects(
+    with_effects: tuple[Physics, list[Effect]], without: tuple[Physics, list[Effect]], n: int = 16
+) -> tuple[Array, Array]:
+    """By how much effects change the markers of a driven link, (T, 2 k) in m: of n virtual joints, and continuous."""
     time = np.linspace(0.0, 1.5, 751)
     torque = 0.2 * np.sin(5 * time) + 0.08 * np.sin(17 * time) + 0.2 * np.sin(60 * time)
     beam = Beam(LINK.length, LINK.mass, LINK.bending_stiffness, 1e-3, "revolute", LINK.hub_inertia)
     shown: list[tuple[Array, Array]] = []
-    for present in (effect, replace(effect, damping=0.0)):
-        physics = Physics(**{f"{effect.id}_{name}": value for name, value in present.values.items()})
+    for physics, effects in (with_effects, without):
         (motion,) = simulate_runs(beam, physics, time, [Run(torque)])
-        arm = Arm.of(chain_of(LINK, n=16), (present,))
+        arm = Arm.of(chain_of(LINK, n=n), effects)
         rest = np.zeros(arm.chain.size)
         (steps,) = simulate_trajectories([arm], [driven(torque, time)], [rest], [rest])
         markers = MarkerArcs.of(Rig("hub", (LINK,))).positions(arm.chain, steps.angles(time))
         shown.append((markers.reshape(time.size, -1), motion.positions(LINK.markers).reshape(time.size, -1)))
-    chain, other = (with_damper - without for with_damper, without in zip(*shown, strict=True))
+    chain, other = (present - absent for present, absent in zip(*shown, strict=True))
+    return chain, other
+
+
+def physics_of(*effects: Effect | None) -> Physics:
+    """Effects of the continuous beam."""
+    present = [effect for effect in effects if effect is not None]
+    return Physics(**{f"{each.id}_{name}": value for each in present for name, value in each.values.items()})
+
+
+@pytest.mark.parametrize("effect", DAMPED, ids=lambda effect: effect.id)
+def test_a_damper_acts_on_a_chain_as_on_a_continuous_beam(effect: GearElasticity | ClampCompliance) -> None:
+    undamped = replace(effect, damping=0.0)
+    chain, other = changes_by_effects((physics_of(effect), [effect]), (physics_of(undamped), [undamped]))
     assert np.abs(other).max() > 1e-4
     assert np.sqrt(np.mean((chain - other) ** 2)) < 0.02 * np.sqrt(np.mean(other**2))
 
@@ -96,20 +109,16 @@ ROOTS = None, GearElasticity(stiffness=20.0, motor_share=0.35), ClampCompliance(
 @pytest.mark.parametrize("root", ROOTS, ids=["rigid", "gear", "clamp"])
 def test_a_hub_s_radius_acts_on_a_chain_as_on_a_continuous_beam(root: Effect | None) -> None:
     """A gear is at the axis, a compliant clamp on the rim."""
-    time = np.linspace(0.0, 1.5, 751)
-    torque = 0.2 * np.sin(5 * time) + 0.08 * np.sin(17 * time) + 0.2 * np.sin(60 * time)
-    beam = Beam(LINK.length, LINK.mass, LINK.bending_stiffness, 1e-3, "revolute", LINK.hub_inertia)
-    others = {} if root is None else {f"{root.id}_{name}": value for name, value in root.values.items()}
-    shown: list[tuple[Array, Array]] = []
-    for radius in (0.15, 0.0):
-        (motion,) = simulate_runs(beam, Physics(hub_radius_radius=radius, **others), time, [Run(torque)])
-        arm = Arm.of(chain_of(LINK, n=16), [HubRadius(radius=radius), *([] if root is None else [root])])
-        rest = np.zeros(arm.chain.size)
-        (steps,) = simulate_trajectories([arm], [driven(torque, time)], [rest], [rest])
-        markers = MarkerArcs.of(Rig("hub", (LINK,))).positions(arm.chain, steps.angles(time))
-        shown.append((markers.reshape(time.size, -1), motion.positions(LINK.markers).reshape(time.size, -1)))
-    chain, other = (with_hub - without for with_hub, without in zip(*shown, strict=True))
+    hub, roots = HubRadius(radius=0.15), [] if root is None else [root]
+    chain, other = changes_by_effects((physics_of(hub, root), [hub, *roots]), (physics_of(root), roots))
     assert np.sqrt(np.mean((chain - other) ** 2)) < 1e-4 < 0.05 * np.sqrt(np.mean(other**2))
+
+
+def test_heavy_markers_act_on_a_chain_as_on_a_continuous_beam() -> None:
+    arcs = (0.13, 0.5, 0.77, 1.0)
+    heavy, light = Physics(marker_mass_mass=0.02, marker_mass_arcs=arcs), Physics()
+    chain, other = changes_by_effects((heavy, [MarkerMass(mass=0.02, arcs=arcs)]), (light, []), n=32)
+    assert np.sqrt(np.mean((chain - other) ** 2)) < 2e-6 < 1e-4 * np.sqrt(np.mean(other**2))
 
 
 def test_springs_at_one_root_are_in_series_in_any_order() -> None:

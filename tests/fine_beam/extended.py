@@ -114,8 +114,12 @@ class Extended:
         basis = self.basis
         carried = self.line * basis.weights
         count, nodes = len(self.bodies), len(basis.nodes)
-        kernels = np.tile((basis.cumulative.T * carried) @ basis.cumulative, (count, 1, 1))
-        beyond = np.tile(carried @ basis.cumulative, (count, 1))
+        # Of what bends with the link: its own mass, and the markers'.
+        markers = self.physics.marker_mass_mass * np.ones(len(self.physics.marker_mass_arcs))
+        reaches = np.vstack([basis.cumulative, basis.integrals_to(np.array(self.physics.marker_mass_arcs))])
+        carried = np.append(carried, markers)
+        kernels = np.tile((reaches.T * carried) @ reaches, (count, 1, 1))
+        beyond = np.tile(carried @ reaches, (count, 1))
         turning = np.zeros((count, self.size, self.size))
         if self.revolute:
             motor = self.physics.motor_share
@@ -131,7 +135,7 @@ class Extended:
         self.mass: Array = self.heading.T @ kernels @ self.heading + turning
         if self.physics.has_table:
             masses = np.array([sum(body.mass for body in bodies) for bodies in self.bodies])
-            self._moved: Array = self.physics.base_compliance_mass + self.beam.mass + masses
+            self._moved: Array = self.physics.base_compliance_mass + self.beam.mass + markers.sum() + masses
             self.mass[:, -1, -1] = self._moved
             straight = self.slide[1] * beyond @ self.heading[:, :-1]
             self.mass[:, -1, :-1], self.mass[:, :-1, -1] = straight, straight

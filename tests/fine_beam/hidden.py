@@ -27,6 +27,7 @@ class Physics:
         tip_payload_mass, tip_payload_radius_of_gyration, tip_payload_offset: of a body, its centre beyond the tip; kg,
             m, m.
         payload_body_offset, payload_body_radius_of_gyration: of a recording's payload, beyond those that are known, m.
+        marker_mass_mass, marker_mass_arcs: of each marker, kg, and where they are on the link, m.
         hub_radius_radius: of the hub, beyond the one that is known, m.
         in_plane_gravity_gx, in_plane_gravity_gy: uniform gravity on top of the beam's own, m/s^2.
         coulomb_friction_torque: dry friction at the joint, with sticking, N m.
@@ -70,6 +71,8 @@ class Physics:
     tip_payload_offset: float = 0.0
     payload_body_offset: float = 0.0
     payload_body_radius_of_gyration: float = 0.0
+    marker_mass_mass: float = 0.0
+    marker_mass_arcs: tuple[float, ...] = ()
     hub_radius_radius: float = 0.0
     in_plane_gravity_gx: float = 0.0
     in_plane_gravity_gy: float = 0.0

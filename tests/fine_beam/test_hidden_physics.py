@@ -79,6 +79,19 @@ def test_a_rigid_link_on_a_hub_turns_as_a_body_about_the_axis() -> None:
     np.testing.assert_allclose(ends[:, 1], (radius + length) * heading, atol=1e-3)
 
 
+def test_markers_have_their_weight_and_their_inertia() -> None:
+    """Sag by small loads at arcs a, the sum of m g a^2 (3 l - a) / (6 EI), and inertia of a rigid link."""
+    arcs, length = (0.25, 0.6, 1.0), HUB.length
+    heavy = Physics(marker_mass_mass=0.01, marker_mass_arcs=arcs, in_plane_gravity_gy=-0.01)
+    light = Physics(in_plane_gravity_gy=-0.01)
+    tips = [alone(HUB, physics, Run(held=True)).positions([length])[0, 0, 1] for physics in (heavy, light)]
+    places = np.array(arcs)
+    sag = np.sum(0.01 * 0.01 * places**2 * (3 * length - places)) / (6 * HUB.bending_stiffness)
+    assert tips[1] - tips[0] == pytest.approx(sag, rel=1e-3)
+    inertias = [Extended(RIGID, physics).mass[0, 0, 0] for physics in (heavy, light)]
+    assert inertias[0] - inertias[1] == pytest.approx(0.01 * np.sum(places**2))
+
+
 def test_gravity_is_that_of_the_plain_beam() -> None:
     tilted = replace(HUB, gravity=(0.1, -0.2))
     motion = alone(HUB, Physics(in_plane_gravity_gx=0.1, in_plane_gravity_gy=-0.2), Run(drive(TIME)))

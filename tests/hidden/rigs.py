@@ -128,6 +128,7 @@ def perform_plans(
     `push` is added to coordinates and rates at every start, (2 n,).
     """
     rate = setting.encoder.rate
+    physics = replace(physics, marker_mass_arcs=setting.markers)
     margin = int(np.ceil(faults.margin(setting.duration, setting.beam.length) * rate - 1e-9))
     time = np.arange(-margin, round(setting.duration * rate) + margin + 1) / rate
     distinct = {plan.entry.repeat or plan.entry.file: plan for plan in plans}

@@ -76,6 +76,7 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "timestamp_jitter": {"jitter": Size(0.002)},
     "payload_body": {"offset": Size(0.02, True)},
     "hub_radius": {"radius": Size(0.005)},
+    "marker_mass": {"mass": Size(0.004)},
     "marker_datum": {"along": Size(0.005, True), "across": Size(0.001, True)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
@@ -143,6 +144,7 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("timestamp_jitter", "jitter"): (0, 0, 1),
     ("marker_offset", "along"): (1, 0, 0),
     ("marker_offset", "across"): (1, 0, 0),
+    ("marker_mass", "mass"): (0, 1, 0),
     ("marker_datum", "along"): (1, 0, 0),
     ("marker_datum", "across"): (1, 0, 0),
     ("camera_translation", "dx"): (1, 0, 0),

@@ -172,10 +172,11 @@ def test_sensors_are_set_up_in_any_way(tmp_path: Path, effect: str, seed: int) -
         ("payload_body", 921),
         *(pytest.param("payload_body", seed, marks=pytest.mark.slow) for seed in (922, 924, 925)),
         *(pytest.param("tip_payload", seed, marks=pytest.mark.slow) for seed in (921, 922, 924)),
+        *(pytest.param("marker_mass", seed, marks=pytest.mark.slow) for seed in (921, 922, 924)),
     ],
 )
-def test_a_body_on_the_tip_has_its_radius_and_its_centre(tmp_path: Path, effect: str, seed: int) -> None:
-    """A chain whose end is free of moment, where this body bends it, has an error of first order in 1/n."""
+def test_bodies_on_the_link_have_their_masses_and_places(tmp_path: Path, effect: str, seed: int) -> None:
+    """A chain whose end is free of moment, where a body bends it, has an error of first order in 1/n."""
     truth = write_hidden(tmp_path, "hub", [draw(effect, seed)], seed)
     diagnosis = diagnosed(tmp_path / "experiment.toml", [effect])
     assert diagnosis.verdict == "named"

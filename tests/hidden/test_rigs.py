@@ -171,7 +171,7 @@ def in_units(text: str, units: Units) -> float:
 
 
 def test_every_effect_has_an_everyday_size() -> None:
-    assert len(EFFECTS) == len(set(EFFECTS)) == 42
+    assert len(EFFECTS) == len(set(EFFECTS)) == 43
     for effect in EFFECTS:
         drawn = [draw(effect, seed) for seed in range(20)]
         assert len({tuple(each.parameters.values()) for each in drawn}) == 20

@@ -32,6 +32,7 @@ from vjm.effects.joint import ViscousFriction as ViscousFriction
 from vjm.effects.loads import ExternalTone as ExternalTone
 from vjm.effects.loads import InPlaneGravity as InPlaneGravity
 from vjm.effects.loads import LinearDrag as LinearDrag
+from vjm.effects.loads import MarkerMass as MarkerMass
 from vjm.effects.loads import PayloadBody as PayloadBody
 from vjm.effects.loads import QuadraticDrag as QuadraticDrag
 from vjm.effects.loads import TipPayload as TipPayload

@@ -115,6 +115,51 @@ class PayloadBody(_TipEffect):
 
 
 @dataclass(frozen=True)
+class MarkerMass(LinkEffect):
+    """Markers that weigh something: equal point masses at all of a link's markers.
+
+    Attributes:
+        arcs: where the markers are on the link [m].
+    """
+
+    mass: float = magnitude("kg", 0.01, lower=0.0, in_rig_units=True)
+    arcs: tuple[float, ...] = field(default=(), kw_only=True)
+
+    description = "markers that weigh something"
+    clause = "each marker of '{link}' weighs {mass}"
+    assumptions = "equal masses of all of a link's markers, points on its centre line"
+    reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
+    distinguishing_experiment = "weigh a marker, or a decay of a clamped link with all of its markers but one taken off"
+    in_urdf = True
+
+    def places(self, rig: Rig) -> tuple[int | None, ...]:
+        """Return the links with markers."""
+        return tuple(i for i, link in enumerate(rig.links) if link.markers)
+
+    def placed(self, rig: Rig, link: int | None) -> Self:
+        """Return the effect on a link of a rig, with the link's markers."""
+        return replace(super().placed(rig, link), arcs=rig.links[link or 0].markers)
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with heavier virtual links."""
+        if self.is_null:
+            return chain
+        link, arcs = self.link_of(chain), np.array(self.arcs)
+        starts = np.cumsum(link.lengths) - link.lengths
+        rods = np.searchsorted(starts, arcs, side="right") - 1
+        places, count = arcs - starts[rods], link.lengths.size
+        # Mass, and first and second moment about each virtual link's proximal end.
+        moments = (link.masses, link.masses * link.mass_centers, link.inertias + link.masses * link.mass_centers**2)
+        mass, first, second = (
+            moment + self.mass * np.bincount(rods, places**power, count) for power, moment in enumerate(moments)
+        )
+        centers = np.divide(first, mass, out=link.mass_centers.copy(), where=mass > 0)
+        return self.with_link(
+            chain, masses=mass, mass_centers=centers, inertias=np.maximum(second - mass * centers**2, 0.0)
+        )
+
+
+@dataclass(frozen=True)
 class InPlaneGravity(Effect):
     """Uniform gravity in the plane, beside what is known, in the base frame: the base is tilted."""
 
