@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.simulation.integrators import simulate
+from tests.simulation.integrators import simulate, trajectories_of
 from tests.simulation.setups import (
     arm_of,
     end_load_shape,
@@ -21,8 +21,11 @@ from tests.simulation.setups import (
 )
 from vjm.chain.curve import marker_poses
 from vjm.chain.virtual_links import Chain
+from vjm.effects import RollingShutter
 from vjm.errors import InputError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.measurement import MarkerArcs
 
 Array = NDArray[np.float64]
 HUB = arm_of(steel_link(3, "revolute"))
@@ -48,6 +51,23 @@ def test_simulation_starts_where_it_is_told_and_shows_the_chain_s_markers() -> N
     np.testing.assert_array_equal(found.theta, found.q[:, [0, 4]])
     arcs = tuple(np.array(link.markers) for link in rig.links)
     np.testing.assert_array_equal(found.markers, marker_poses(chain, found.q, arcs, (False, True))[0])
+
+
+def test_rows_that_are_read_one_after_another_show_each_marker_where_it_is_when_its_row_is_read() -> None:
+    """Not where it is at the time stamp: the arm turns by a centimetre meanwhile."""
+    time = np.arange(20, 201) / 100.0
+    torque = jerky_torque(1, 3)
+    rest = np.zeros(HUB.size)
+    (motion,) = trajectories_of([Arm(HUB)], [recording_of(HUB, np.arange(301) / 100.0, torque)], [rest], [rest])
+    arcs, arm = MarkerArcs.of(rig_of(HUB)), Arm.of(HUB, [RollingShutter(readout=0.02, direction=1.1)])
+    shown, exposures = arcs.positions_in_frames(arm, motion, time), arcs.exposure_times(arm, motion, time)
+    way = (np.exp(-1.1j) * (shown @ [1, 1j])).imag
+    np.testing.assert_allclose(exposures, (time[:, None] - 0.02 * way).T, atol=1e-6)
+    for marker, instants in enumerate(exposures):
+        np.testing.assert_allclose(
+            shown[:, marker], arcs.positions(HUB, motion.angles(instants))[:, marker], atol=1e-12
+        )
+    assert np.abs(shown - arcs.positions(HUB, motion.angles(time))).max() > 0.01
 
 
 def test_time_may_start_anywhere() -> None:

@@ -403,7 +403,7 @@ class Effect:
 
         Args:
             time: (F,) the frames' time stamps since the recording's start, as are the instants [s].
-            positions: (F, k, 2) true positions of the markers at these time stamps [m].
+            positions: (F, k, 2) true positions of the markers when they were seen [m].
         """
         return time
 

@@ -24,6 +24,9 @@ from vjm.simulation.system import Trajectory, torque_at
 # Forward difference, largest at a joint [rad, rad/s or units of internal states]: its relative error is of the order of
 # the step, and rounding adds 1e-16 / 1e-6.
 DIFFERENCE_STEP = 1e-6
+# How often instants and positions of markers that are seen one after another are made to agree: what they differ by
+# falls each time to what a marker moves within the readout of as much, a few per cent.
+_EXPOSURE_PASSES = 3
 # Variance that errors of a given motion add to the noise, below which they do not matter: a percent of it.
 _LEAST_VARIANCE = 0.01
 
@@ -100,9 +103,14 @@ class MarkerArcs:
         exposures = time
         if arm.exposure_effects:
             stamps = trajectory.elapsed(time)
-            positions = self.positions(arm.chain, trajectory.angles(time))
-            for effect in arm.exposure_effects:
-                exposures = exposures + (effect.camera_instants(stamps, positions).T - stamps)
+            for _ in range(_EXPOSURE_PASSES):
+                positions = self.positions(arm.chain, trajectory.angles(exposures))
+                if exposures.ndim == 2:  # of each marker when it is seen itself
+                    positions = np.diagonal(positions, axis1=0, axis2=2).transpose(0, 2, 1)
+                delays = [effect.camera_instants(stamps, positions).T - stamps for effect in arm.exposure_effects]
+                exposures = time + sum(delays[1:], start=delays[0])
+                if exposures.ndim == 1:  # whatever the positions are
+                    break
         return exposures
 
     def positions_in_frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
