@@ -97,6 +97,13 @@ def test_without_a_torque_there_is_none_that_is_wrong() -> None:
     assert set(blind_effects(HUB, without(recording_of(HUB), "tau"))) == recorded
 
 
+def test_where_a_motion_is_given_nothing_shows_that_acts_on_its_drive_or_is_in_it() -> None:
+    drives = JOINT - {"hub_radius", "encoder_offset", "gear_elasticity", "backlash"}
+    given = replace(recording_of(HUB), input="motion")
+    assert set(blind_effects(HUB, given)) == drives
+    assert "given motion" in blind_effects(HUB, given)["encoder_eccentricity"]
+
+
 def test_without_an_encoder_there_is_none_that_is_wrong() -> None:
     pulled = without(recording_of(HUB), "theta")
     assert set(blind_effects(HUB, pulled)) == {"encoder_offset", "encoder_eccentricity"}

@@ -729,6 +729,19 @@ def test_a_model_that_follows_nothing_has_failed() -> None:
     assert "both_modes.csv: held out, but the model could not be simulated" in failure_of(experiment, [held_out])
 
 
+@pytest.mark.parametrize("further", [0.06, -0.06])
+def test_a_ruler_that_began_elsewhere_is_named_where_it_is_far(tmp_path: Path, further: float) -> None:
+    write_hidden(tmp_path, "hub", [Planted("marker_datum", {"along": further})], 5)
+    given = vjm.load_experiment(tmp_path / "experiment.toml")
+    (mistake,) = find_mistakes(given)
+    assert f"if the ruler began elsewhere, add {further:.2g}" in str(mistake)
+    assert ("hub_radius" in str(mistake)) == (further > 0)
+    (link,) = given.rig.links
+    markers = tuple(min(arc + further, link.length) for arc in link.markers)
+    corrected = replace(given, rig=replace(given.rig, links=(replace(link, markers=markers),)))
+    assert list(find_mistakes(corrected)) == []
+
+
 @pytest.mark.parametrize("radius", [0.0, 0.02, 0.04, 0.1])
 def test_a_hub_s_radius_that_was_not_given_is_named_where_it_is_large(tmp_path: Path, radius: float) -> None:
     write_hidden(tmp_path, "hub", [Planted("hub_radius", {"radius": radius})], 5)

@@ -396,6 +396,11 @@ class EncoderEccentricity(ColumnEffect):
     distinguishing_experiment = "a slow sweep of the joint over a whole turn; a second reading head opposite the first"
     column_of = "theta"
 
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        """Return the reason if there is no encoder, or a joint turns as its encoder says."""
+        given = any(recording.input == "motion" for recording in recordings)
+        return super().untestable(rig, recordings) or ("the encoder's error is in the given motion" if given else "")
+
     def encoder_angles(self, theta: Array) -> Array:
         """Return angles with the error."""
         angle = theta[:, self.own_column]

@@ -288,17 +288,20 @@ def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mist
         offset, gain = _displacement(start[known], link.length)
         moved.append((recording.file, gain, offset))
         radius, gain = _displacement(ahead, link.length)
-        possible = link.joint == "revolute" and link.hub_radius + radius[0] > 0
-        on_hub.append((recording.file, gain if possible else 0.0, float(radius[0])))
+        on_hub.append((recording.file, gain if link.joint == "revolute" else 0.0, float(radius[0])))
     moved = [each for each in moved if each[1] > LIKELY]
     on_hub = [each for each in on_hub if each[1] > LIKELY]
     if sum(gain for _, gain, _ in on_hub) > sum(gain for _, gain, _ in moved):
         files, gains, radii = zip(*on_hub, strict=True)
-        total = link.hub_radius + float(np.median(radii))
+        further = float(np.median(radii))
+        total = link.hub_radius + further
         text = (
-            f"the markers show that {link.name} begins {total:.3g} m from its joint's axis, and not "
-            f"{link.hub_radius:.3g} m; give 'hub_radius' of [[link]] {link.name} in m, {total:.3g}"
+            f"the markers of {link.name} are {abs(further):.3g} m {'further from' if further > 0 else 'nearer to'} its "
+            "joint's axis than given: "
         )
+        if total > 0:
+            text += f"if it begins on a hub, give 'hub_radius' of [[link]] {link.name} in m, {total:.3g}; "
+        text += f"if the ruler began elsewhere, add {further:.3g} to its 'markers'"
         return [Mistake(text, max(gains), files)]
     if not moved:
         return []
