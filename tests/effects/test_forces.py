@@ -288,7 +288,7 @@ def test_a_known_payload_that_is_no_point_is_the_body_that_it_is() -> None:
         assert last.chain(first.chain(chain)).links[1].payload_body == pytest.approx(both)
 
 
-@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), st.floats(1e-4, 1.0))
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), st.floats(1e-5, 1.0))
 def test_markers_that_weigh_something_are_points_on_the_link(fractions: list[float], mass: float) -> None:
     """Mass, and first and second moment about the proximal end, whichever virtual links they are on."""
     chain = chain_of(POST, LINK)
@@ -305,6 +305,20 @@ def test_markers_that_weigh_something_are_points_on_the_link(fractions: list[flo
     added = mass * np.array([[1.0, arc, arc**2] for arc in arcs]).sum(axis=0)
     assert moments(heavy) - moments(chain) == pytest.approx(added, rel=1e-9, abs=1e-12)
     assert (heavy.links[1].inertias >= 0).all()
+
+
+@pytest.mark.parametrize("arcs", [(0.2, 0.4, 0.6, 0.8, 1.0), (0.13, 0.47, 0.71)])
+def test_markers_leave_a_chain_s_frequencies_accurate_to_fourth_order(arcs: tuple[float, ...]) -> None:
+    beam = Beam(1.0, 0.44, 1.97)
+    continuous = Extended(beam, Physics(marker_mass_mass=0.005, marker_mass_arcs=arcs), size=14, nodes=28)
+    expected = continuous.modes()[0][:2] / (2 * np.pi)
+    errors = []
+    for n in (8, 16):
+        chain = chain_of(replace(LINK, joint="clamped", hub_inertia=0.0, mass=0.44, bending_stiffness=1.97), n=n)
+        heavy = MarkerMass(mass=0.005, arcs=arcs).chain(chain)
+        errors.append(modes(heavy).frequencies[:2] / expected - 1)
+    assert np.abs(errors[0]).max() < 1.1e-4
+    assert (np.abs(errors[1]) < np.abs(errors[0]) / 8).all()
 
 
 def test_a_marker_on_the_tip_is_a_payload() -> None:

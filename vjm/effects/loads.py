@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 
-from vjm.chain.virtual_links import Chain
+from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.effects.effect import Effect, LinkEffect, StateFunction, WaveEffect, magnitude, shape_parameter
 from vjm.records import NO_PAYLOAD, Array, Complex, Payload, Recording, Rig
 
@@ -122,7 +123,9 @@ class MarkerMass(LinkEffect):
         arcs: where the markers are on the link [m].
     """
 
-    mass: float = magnitude("kg", 0.01, lower=0.0, in_rig_units=True)
+    # Typical: a hundredth of the link's mass; at most a tenth. Where nothing but frequencies is known, as of a clamped
+    # link, larger masses are the same with a larger stiffness.
+    mass: float = magnitude("kg", 0.01, lower=0.0, upper=0.1, in_rig_units=True)
     arcs: tuple[float, ...] = field(default=(), kw_only=True)
 
     description = "markers that weigh something"
@@ -144,19 +147,41 @@ class MarkerMass(LinkEffect):
         """Return the chain with heavier virtual links."""
         if self.is_null:
             return chain
-        link, arcs = self.link_of(chain), np.array(self.arcs)
-        starts = np.cumsum(link.lengths) - link.lengths
+        link = self.link_of(chain)
+        points = [_equivalent_points(link, arc) for arc in self.arcs]
+        masses, centers, inertias = self._loaded(link, *np.concatenate([np.zeros((2, 0)), *points], axis=1))
+        if min(masses.min(), centers.min(), inertias.min()) < 0:  # too heavy for shares of which some are negative
+            masses, centers, inertias = self._loaded(link, np.array(self.arcs), np.ones(len(self.arcs)))
+        return self.with_link(chain, masses=masses, mass_centers=centers, inertias=inertias)
+
+    def _loaded(self, link: LinkChain, arcs: Array, shares: Array) -> tuple[Array, Array, Array]:
+        """Return masses, mass centers and inertias (n + 1,) of virtual links with shares (k,) of it at arcs (k,)."""
+        starts, count = np.cumsum(link.lengths) - link.lengths, link.lengths.size
         rods = np.searchsorted(starts, arcs, side="right") - 1
-        places, count = arcs - starts[rods], link.lengths.size
         # Mass, and first and second moment about each virtual link's proximal end.
         moments = (link.masses, link.masses * link.mass_centers, link.inertias + link.masses * link.mass_centers**2)
         mass, first, second = (
-            moment + self.mass * np.bincount(rods, places**power, count) for power, moment in enumerate(moments)
+            moment + self.mass * np.bincount(rods, shares * (arcs - starts[rods]) ** power, count)
+            for power, moment in enumerate(moments)
         )
-        centers = np.divide(first, mass, out=link.mass_centers.copy(), where=mass > 0)
-        return self.with_link(
-            chain, masses=mass, mass_centers=centers, inertias=np.maximum(second - mass * centers**2, 0.0)
-        )
+        centers = np.divide(first, mass, out=np.zeros(count), where=mass > 0)
+        return mass, centers, second - mass * centers**2
+
+
+def _equivalent_points(link: LinkChain, arc: float) -> Array:
+    """Return arc lengths (k,) [m] of points on virtual links that stand for one on the curve, and their shares (k,).
+
+    Virtual links cross the curve at a distance of length / 12^(1/2) from their middles. Four such points around the
+    place have the same mass, first, second and third moments about it, where a point of the virtual link there would
+    have an error of second order in the number of joints, and a bad one: it goes to and fro with that number. Beyond
+    the outermost ones the link is straight.
+    """
+    middles = np.cumsum(link.lengths) - link.lengths / 2
+    crossings = np.sort(np.concatenate([middles - link.lengths / 12**0.5, middles + link.lengths / 12**0.5]))
+    if not crossings[0] <= arc <= crossings[-1]:
+        return np.array([[arc], [1.0]])
+    nearest = crossings[np.argsort(np.abs(crossings - arc), kind="stable")[:4]]
+    return np.stack([nearest, BarycentricInterpolator(nearest, np.eye(nearest.size))(arc)])
 
 
 @dataclass(frozen=True)
