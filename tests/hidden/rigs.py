@@ -41,12 +41,14 @@ class Conditions:
     """How recordings are made.
 
     Attributes:
+        noise: of camera and encoder, over that of the setting.
         noise_correlation: of the camera's noise from frame to frame.
         outliers: share of marker sightings that are wrong by centimetres.
         dropped_frames: share of frames lost.
         reference: two more recordings, in which nothing is hidden.
     """
 
+    noise: float = 1.0
     noise_correlation: float = 0.0
     outliers: float = 0.0
     dropped_frames: float = 0.0
@@ -168,11 +170,13 @@ def write_hidden(
     setting = setting_of(rig, seed)
     camera = replace(
         setting.camera,
+        noise=conditions.noise * setting.camera.noise,
         noise_correlation=conditions.noise_correlation,
         outliers=conditions.outliers,
         dropped_frames=conditions.dropped_frames,
     )
-    setting, units, beam = replace(setting, camera=camera), setting.units, setting.beam
+    encoder = replace(setting.encoder, noise=conditions.noise * setting.encoder.noise)
+    setting, units, beam = replace(setting, camera=camera, encoder=encoder), setting.units, setting.beam
     shown = perform(rig, effects, seed, conditions.reference)
     noise = {each.plan.entry.file: _write(folder, setting, each, 1000 * seed + k) for k, each in enumerate(shown)}
     link: dict[str, Any] = {"name": "beam", "joint": beam.joint, "length": units.length * beam.length}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ import pytest
 import vjm
 from tests.fine_beam.extended import Extended
 from tests.hidden.conftest import Plant
-from tests.hidden.rigs import physics_of
-from tests.hidden.test_finding import with_few
+from tests.hidden.rigs import Conditions, physics_of, write_hidden
+from tests.hidden.severities import draw
+from tests.hidden.test_finding import assert_sizes, diagnosed, with_few
 from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.screen import Screen
 from vjm.effects import CubicStiffness
@@ -38,6 +40,16 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     physical = base.fit.point.problem.parametrisation.physical(found)
     assert physical[0] == pytest.approx(truth.setting.beam.bending_stiffness, rel=3e-4)
     assert physical[2] == pytest.approx(truth.setting.beam.hub_inertia, rel=3e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["clamp_compliance", "cubic_stiffness", "gear_elasticity", "marker_mass"])
+def test_sizes_have_no_more_than_their_errors_with_sensors_ten_times_as_good(tmp_path: Path, effect: str) -> None:
+    """Errors of fourth order in the number of joints, extrapolated as of second order, made them ten off."""
+    truth = write_hidden(tmp_path, "hub", [draw(effect, 921)], 921, Conditions(noise=0.1))
+    diagnosis = diagnosed(tmp_path / "experiment.toml", [effect])
+    assert [cause.effect.id for cause in diagnosis.causes] == [effect]
+    assert_sizes(diagnosis, truth)
 
 
 @pytest.mark.slow

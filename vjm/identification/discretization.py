@@ -1,9 +1,10 @@
 """Discretization error of a chain: what more virtual joints would change of its predictions and parameters.
 
-The predictions of a chain with n joints differ from those of a beam by a term of order 1/n^2, in recordings of large
-bends far above the noise of many samples, and its best parameters are biased. A finer chain is therefore compared with
-it, with the derivatives of the coarse one (deferred correction: Pereyra, Numerische Mathematik 10, 1967); Richardson's
-extrapolation of the differences gives the offset of the predictions and the shift of the parameters to those of a beam.
+The predictions of a chain with n joints differ from those of a beam by terms of orders 1/n^2 and 1/n^4, in recordings
+of large bends far above the noise of many samples, and its best parameters are biased. A finer chain is therefore
+compared with it, with the derivatives of the coarse one (deferred correction: Pereyra, Numerische Mathematik 10, 1967);
+Richardson's extrapolation of the differences gives the offset of the predictions and the shift of the parameters to
+those of a beam.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
     """
     coarse = with_offset(point, None)
     try:
-        predicted = _predictions(_finer(coarse, rig), coarse)
-        factor = _extrapolation(point, rig)
+        predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
+        factor = _extrapolation(coarse, rig, predicted)
         offset = tuple(factor * (fine - run.predicted) for fine, run in zip(predicted, coarse.runs, strict=True))
         free, change, decrease = ~point.held, np.zeros(point.x.size), 0.0
         for sign, shifted in ((1, with_offset(coarse, offset)), (-1, coarse)):
@@ -81,11 +82,12 @@ class DiscretizationBias:
             the bias is so large that what the extrapolation leaves of it may show in the residuals.
         """
         start = with_offset(point, None)
-        finer = _finer(start, rig)
-        current, best, chi2, fall = start, None, np.inf, np.inf
+        finer = _finer(start, rig, _refinement(point))
+        current, best, chi2, fall, factor = start, None, np.inf, np.inf, np.nan
         try:
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
                 predicted = _predictions(finer, current)
+                factor = _extrapolation(start, rig, predicted) if current is start else factor
                 previous, chi2 = chi2, sum(map(_chi2, current.runs, predicted))
                 previous_fall, fall = fall, previous - chi2
                 # What is left falls by about the same factor each time, and so do the falls.
@@ -113,7 +115,6 @@ class DiscretizationBias:
         if best is None:
             return None
         predicted, x = best
-        factor = _extrapolation(point, rig)
         changes = [fine - run.predicted for fine, run in zip(predicted, start.runs, strict=True)]
         # What the extrapolation adds is a bound of its own error.
         added = [
@@ -161,22 +162,39 @@ def _refinement(point: Point) -> int:
     return 2 if point.chain.elbows.size else 3
 
 
-def _extrapolation(point: Point, rig: Rig) -> float:
-    """Return the factor of Richardson's extrapolation, for an error of order 1/n^2 where both chains are cut alike.
+def _extrapolation(point: Point, rig: Rig, fine: Sequence[Array]) -> float:
+    """Return the factor of Richardson's extrapolation, by which a beam differs more from a chain than a finer one does.
 
-    It is one where the fitted chain has another layout: its error, which is many times larger, says nothing of what the
-    finer chain leaves.
+    Errors are of order 1/n^2 where the link bends much, and of 1/n^4 elsewhere: how much of them is of either follows
+    from the predictions of a third chain, with twice the joints. Beside an elbow, where that is the finer one, they are
+    taken to be of order 1/n^2. The factor is one where the fitted chain has another layout: its error, which is many
+    times larger, says nothing of what the finer chain leaves.
+
+    Args:
+        point: the fitted chain, without offsets.
+        rig: the arm.
+        fine: (N,) for each recording, the finer chain's predictions [m, rad].
     """
-    links = point.chain.links
+    links, refinement = point.chain.links, _refinement(point)
     cuts = rig_layouts(rig, [link.virtual_joints for link in links], _FINER_LAYOUT, _payloads(point))
-    alike = all(np.allclose(link.lengths, cut.lengths) for link, cut in zip(links, cuts, strict=True))
-    return 1 / (1 - _refinement(point) ** -2) if alike else 1.0
+    if not all(np.allclose(link.lengths, cut.lengths) for link, cut in zip(links, cuts, strict=True)):
+        return 1.0
+    second, fourth = ((1 / (1 - refinement**-order)) for order in (2, 4))
+    if refinement == 2:
+        return second
+    product, square = 0.0, 0.0
+    for run, twice, finer in zip(point.runs, _predictions(_finer(point, rig, 2), point), fine, strict=True):
+        less, more = (run.observed.whitened(run.observed.weights * (other - run.predicted)) for other in (twice, finer))
+        product, square = product + float(less @ more), square + float(more @ more)
+    # Differences from chains with two and three times the joints are a (1 - 1/4) and a (1 - 1/9) of an error a / n^2,
+    # b (1 - 1/16) and b (1 - 1/81) of one b / n^4.
+    return float(np.clip(81 / 40 - 16 / 15 * product / max(square, 1e-300), fourth, second))
 
 
-def _finer(point: Point, rig: Rig) -> TrajectoryProblem:
-    """Return the problem of a chain with more joints."""
+def _finer(point: Point, rig: Rig, factor: int) -> TrajectoryProblem:
+    """Return the problem of a chain with so many times the joints."""
     coarse = point.problem.parametrisation
-    joints = [_refinement(point) * link.virtual_joints for link in coarse.template.links]
+    joints = [factor * link.virtual_joints for link in coarse.template.links]
     template = starting_chain(rig, rig_layouts(rig, joints, _FINER_LAYOUT, _payloads(point)))
     finer = Parametrisation(template, coarse.kind, coarse.hubs)
     return replace(point.problem, parametrisation=finer)
