@@ -41,18 +41,18 @@ class Conditions:
     """How recordings are made.
 
     Attributes:
-        noise: of camera and encoder, over that of the setting.
         noise_correlation: of the camera's noise from frame to frame.
         outliers: share of marker sightings that are wrong by centimetres.
         dropped_frames: share of frames lost.
         reference: two more recordings, in which nothing is hidden.
+        noise: of camera and encoder, over that of the setting.
     """
 
-    noise: float = 1.0
     noise_correlation: float = 0.0
     outliers: float = 0.0
     dropped_frames: float = 0.0
     reference: bool = False
+    noise: float = 1.0
 
 
 PLAIN = Conditions()
