@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Self
@@ -179,7 +179,7 @@ class CameraVibration(WaveEffect, _CameraEffect):
 
 @dataclass(frozen=True)
 class _CentredEffect(_CameraEffect):
-    """Deforms the picture about a centre, whose coordinates `centre_x` and `centre_y` are shape parameters."""
+    """Deforms the picture about a centre, and shows the base where it is; `centre_x` and `centre_y` are parameters."""
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return instances with centres in the middle, on the edges and in the corners of what the camera saw."""
@@ -192,17 +192,21 @@ class _CentredEffect(_CameraEffect):
             for centre_x, centre_y in product(x.tolist(), y.tolist())
         )
 
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return deformed positions."""
+        values = self.values
+        centre = np.array([values["centre_x"], values["centre_y"]])
+        deformed: Array = positions + self.displacement(positions - centre) - self.displacement(-centre)
+        return deformed
+
+    def displacement(self, points: Array) -> Array:
+        """Return by how much (..., 2) the picture displaces points (..., 2) given from the centre [m]."""
+        raise NotImplementedError
+
 
 def _centre() -> Any:
     """Declare a coordinate of a picture's centre: typically half the arm's length from the base, at most all of it."""
     return shape_parameter("m", 0.5, lower=-1.0, upper=1.0, power=1, in_rig_units=True)
-
-
-def _deformed(positions: Array, centre: tuple[float, float], displacement: Callable[[Array], Array]) -> Array:
-    """Return positions (..., 2) displaced as a function of the places from a centre; the base stays where it is."""
-    origin = np.array(centre)
-    moved: Array = positions + displacement(positions - origin) - displacement(-origin)
-    return moved
 
 
 @dataclass(frozen=True)
@@ -230,16 +234,10 @@ class CameraTilt(_CentredEffect):
     abscissa = "position"
     camera_order = 1
 
-    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
-        """Return positions in perspective."""
-        slope = np.array([self.px, self.py])
-
-        def displacement(points: Array) -> Array:
-            depth = (points * slope).sum(axis=-1, keepdims=True)
-            moved: Array = -points * depth / (1 + depth)
-            return moved
-
-        return _deformed(positions, (self.centre_x, self.centre_y), displacement)
+    def displacement(self, points: Array) -> Array:
+        """Return the displacement by the perspective."""
+        depth: Array = (points * np.array([self.px, self.py])).sum(axis=-1, keepdims=True)
+        return -points * depth / (1 + depth)
 
 
 @dataclass(frozen=True)
@@ -261,14 +259,10 @@ class LensDistortion(_CentredEffect):
     abscissa = "radial"
     camera_order = 2
 
-    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
-        """Return distorted positions."""
-
-        def displacement(points: Array) -> Array:
-            squares: Array = (points * points).sum(axis=-1, keepdims=True)
-            return self.k1 * squares * points
-
-        return _deformed(positions, (self.centre_x, self.centre_y), displacement)
+    def displacement(self, points: Array) -> Array:
+        """Return the displacement by the lens."""
+        squares: Array = (points * points).sum(axis=-1, keepdims=True)
+        return self.k1 * squares * points
 
 
 @dataclass(frozen=True)
