@@ -97,6 +97,32 @@ def test_steps_may_be_far_longer_than_a_contact() -> None:
     assert np.diff(found.impacts.instants).min() > 0.0
 
 
+@pytest.mark.parametrize("kelvin_voigt", [0.03, 0.3])
+def test_an_overdamped_link_takes_no_more_steps(kelvin_voigt: float) -> None:
+    """Its fastest modes decay in a hundredth of a step and less, which is no reason to follow them."""
+    play = Backlash(link=0, gap=0.004, motor_share=0.4, flank_stiffness=1000.0, flank_damping=0.5)
+    arms = [
+        Arm.of(arm_of(steel_link(4, "revolute", kelvin_voigt=constant)), (play,)) for constant in (3e-4, kelvin_voigt)
+    ]
+    recording = jerked(arms[0], 0)
+    found = [moved(arm, recording, default_step(CHAIN)) for arm in arms]
+    assert found[1].angles(recording.time) == pytest.approx(followed_events(arms[1], recording), abs=2e-5)
+    steps_an_event = []
+    for motion in found:
+        assert motion.impacts is not None
+        steps_an_event.append(motion.impacts.path.time.size / motion.impacts.instants.size)
+    assert steps_an_event[1] < 3 * steps_an_event[0]
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e8, 0.5), (1e6, 1e3), (1e2, 1e3)])
+def test_flanks_may_be_as_stiff_and_damped_as_a_search_tries(stiffness: float, damping: float) -> None:
+    play = Backlash(link=0, gap=0.004, motor_share=0.4, flank_stiffness=stiffness, flank_damping=damping)
+    arm = Arm.of(CHAIN, (play,))
+    recording = jerked(arm, 1, duration=0.2)  # errors grow with every rebound
+    found, fine = (moved(arm, recording, default_step(CHAIN) / division).angles(recording.time) for division in (1, 4))
+    assert found == pytest.approx(fine, abs=2e-5)
+
+
 def test_a_flank_that_is_followed_out_of_and_into_again_is_not_met() -> None:
     """The joint leaves faster than the flank springs back, is pushed, and is touched again while it is still in."""
     arm = Arm.of(CHAIN, (PLAY,))

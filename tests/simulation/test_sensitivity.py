@@ -47,7 +47,8 @@ from vjm.effects import (
 from vjm.model.modes import linearise, modes
 from vjm.records import NO_PAYLOAD, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import flow_and_response, phi_functions, simulate_trajectories
+from vjm.simulation.exponential import flow_and_response, phi_functions
+from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs

@@ -14,7 +14,7 @@ from vjm.effects.effect import Effect, JointEffect, Parameter
 from vjm.errors import ShapeError
 from vjm.model.modes import linearise
 from vjm.records import REFERENCE, Array, Complex, Recording
-from vjm.simulation.integrate import phi_functions
+from vjm.simulation.exponential import phi_functions
 from vjm.simulation.run import Run, by_recording, linearize
 
 _MOST_PEAKS = 3  # more tones at once have not been met

@@ -12,15 +12,14 @@ from scipy.optimize import brentq
 
 from vjm.effects.contact import Contact
 from vjm.records import Array, Mask
+from vjm.simulation.exponential import EXPLICIT_WEIGHTS, NODES, linear_part, runge_kutta_stages
 from vjm.simulation.stick_slip import multiply
 from vjm.simulation.system import Impacts, System, Trajectory, quintic_hermite
 
-# Angles w h [rad] of vibrations in a step h of the classical Runge-Kutta method, which adds (w h)^5 / 120 of their
-# amplitude: a contact's rebound is right to 1e-4, and what is faster in the chain is stable.
-_CONTACT_ANGLE, _CHAIN_ANGLE = 0.3, 1.0
 PATH_SHARES = np.arange(1, 9) / 8  # of a step, at which contacts are looked for
 # By which a joint may be off between steps [rad]: a millionth of the arm's length at the tip, as `default_step` allows.
 _RESOLVED = 1e-6
+_QUINTIC_ORDER = 6  # halved steps have errors smaller by this power of two
 
 
 class _Instant(NamedTuple):
@@ -41,7 +40,7 @@ class ContactSteps:
     """Contacts of the copies' joints, from step to step.
 
     While nothing changes, flanks in contact are part of the linear part, which is advanced exactly. A step in which a
-    contact begins or ends is advanced once more for the copy, by small steps from one of these instants to the next.
+    contact begins or ends is advanced once more for the copy, by smaller steps from one of these instants to the next.
 
     Attributes:
         touching: (C, n_c) true for joints that are pressed against a flank.
@@ -120,10 +119,10 @@ class ContactSteps:
         touches = self._contacts.at((..., None)).event_function(q, v) > 0.0
         at_end = self._event_function(end[:, :n], end[:, n:]) > 0.0
         changes = (touches != self.touching[:, :, None]).any(axis=2) | (at_end != self.touching)
-        # Halfway, the quintic between start and end is off where a joint vibrates within the step.
-        quintic = (q0 + q[:, :, -1]) / 2 + h * (5 / 32 * (v0 - v[:, :, -1]) + h / 64 * (a0 + a[:, :, -1]))
-        vibrates = np.abs(q[:, :, PATH_SHARES.size // 2 - 1] - quintic) > _RESOLVED
-        return changes.any(axis=1), vibrates.any(axis=1)
+        # The quintic between start and end is off where a joint vibrates within the step.
+        quintic = _quintic_halfway(h, (q0, v0, a0), (q[:, :, -1], v[:, :, -1], a[:, :, -1]))
+        vibrates: Mask = np.abs(q[:, :, PATH_SHARES.size // 2 - 1] - quintic) > _RESOLVED
+        return np.asarray(changes.any(axis=1)), np.asarray(vibrates.any(axis=1))
 
     def impacts(self, copy: int, steps: int, first: float) -> Impacts:
         """Return what has happened to a copy in a number of steps, the first of which begins at an instant [s]."""
@@ -138,10 +137,21 @@ class _CopyContacts:
         self.contacts = system.contacts.at(0)
         self.touching, self.torque = touching, torque
         self.began = touching.copy()
-        self.limits: dict[bytes, float] = {}
+        self.elbows = system.active[system.active > 0]
+        self.matrices: dict[tuple[bytes, float], tuple[Array, list[Array]]] = {}
+        self.take_linear_part(q)
+        self.share = 0.5  # of a step: the smaller steps, at most half of it, by which they are told from it
         self.path: list[tuple[int, _Instant]] = []
         self.changes: list[tuple[float, int, bool]] = []  # steps, which contact, whether it comes to a flank
         self.update_flanks(q)
+
+    def take_linear_part(self, q: Array) -> None:
+        """Take the linear part of the smaller steps at angles (nv,), those beside the elbows' being zero."""
+        bent = np.zeros((1, q.size))
+        bent[0, self.elbows] = q[self.elbows]
+        ((_, mechanism),) = self.system.mechanisms
+        self.mobility: Array = np.asarray(np.linalg.inv(mechanism.mass_matrix(bent)), dtype=float)
+        self.matrices.clear()
 
     def update_flanks(self, q: Array) -> None:
         """Update springs, and the torque of flanks in contact, on the sides where the joints are at angles (nv,)."""
@@ -176,18 +186,24 @@ class _CopyContacts:
         """Advance by a step, as `ContactSteps.advance` says."""
         start, middle, end = torques
         drive = np.stack([start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)])
+        if self.elbows.size:
+            self.take_linear_part(state[: self.torque.size])
         instant = self.at(0.0, state, drive, time)
         self.path.append((k, instant))
         while instant.share < 1.0:
-            left = 1.0 - instant.share
-            # Two in a step at least, by which they are told from it.
-            count = max(int(np.ceil(left * self.step / self.longest_step())), 2 if left == 1.0 else 1)
-            ahead = self.runge_kutta_step(instant, instant.share + left / count if count > 1 else 1.0, drive, time)
-            change = self.first_change(instant, ahead)
+            self.share = min(self.share, self.longest_share())
+            halfway, ahead = self.smaller_step(instant, min(instant.share + self.share, 1.0), drive, time)
+            off = self.off_halfway(instant, halfway, ahead)
+            if off > 1.0:
+                self.share /= 2
+                continue
+            if off < 2.0**-_QUINTIC_ORDER:
+                self.share = min(2 * self.share, 0.5)
+            change = self.first_change(instant, halfway, ahead)
             if change is not None:
                 place, share = change
                 if share < ahead.share:
-                    ahead = self.runge_kutta_step(instant, share, drive, time)
+                    _, ahead = self.smaller_step(instant, share, drive, time)
                 self.path.append((k, ahead))
                 self.begin_or_end(place, instant, k + ahead.share)
                 self.update_flanks(ahead.state)
@@ -208,34 +224,68 @@ class _CopyContacts:
         slope = np.concatenate([v, self.system.accelerations(q, v, torque), rates], axis=1)[0]
         return _Instant(share, state, slope)
 
-    def runge_kutta_step(self, start: _Instant, share: float, drive: Array, time: float) -> _Instant:
-        """Return the motion at a later share, by the classical Runge-Kutta method."""
-        h, middle = (share - start.share) * self.step, (start.share + share) / 2
-        second = self.at(middle, start.state + h / 2 * start.slope, drive, time).slope
-        third = self.at(middle, start.state + h / 2 * second, drive, time).slope
-        last = self.at(share, start.state + h * third, drive, time).slope
-        return self.at(share, start.state + h / 6 * (start.slope + 2 * (second + third) + last), drive, time)
+    def smaller_step(self, start: _Instant, share: float, drive: Array, time: float) -> tuple[_Instant, _Instant]:
+        """Return the motion halfway to a later share and there, by the method that all steps are advanced by."""
+        n, duration = self.torque.size, share - start.share
+        linear, stages = self.linear_rate_and_stages(duration)
+        known, z, rates, instants = (
+            start.state[: 2 * n],
+            start.state[2 * n :],
+            np.zeros((0, start.state.size - 2 * n)),
+            [start],
+        )
+        for stage, node, weights in zip(stages, NODES, EXPLICIT_WEIGHTS, strict=True):
+            _, state, slope = instants[-1]
+            known = np.concatenate([known, slope[n : 2 * n] - linear.dot(state[: 2 * n])])
+            rates = np.vstack([rates, slope[2 * n :]])
+            internal = z + duration * self.step * weights[: len(rates)].dot(rates)
+            state = np.concatenate([stage.dot(known), internal])
+            instants.append(self.at(start.share + node * duration, state, drive, time))
+        return instants[-2], instants[-1]._replace(share=share)
 
-    def longest_step(self) -> float:
-        """Return the longest small step [s] in the present contacts."""
-        key = self.touching.tobytes()
-        if key not in self.limits:
-            n, (_, mechanism) = self.torque.size, self.system.mechanisms[0]
-            mobility = np.linalg.inv(mechanism.mass_matrix(np.zeros((1, n)))[0])
-            slopes = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility * self.stiffness, -mobility * self.damping]])
-            limits = [_CHAIN_ANGLE / np.abs(np.linalg.eigvals(slopes)).max()]
-            pressed = self.contacts.at(self.touching)
-            own = mobility[pressed.joint, pressed.joint]
-            fastest = np.maximum(np.sqrt(pressed.stiffness * own), pressed.damping * own)
-            self.limits[key] = float(np.min([*limits, *_CONTACT_ANGLE / fastest]))
-        return self.limits[key]
+    def linear_rate_and_stages(self, duration: float) -> tuple[Array, list[Array]]:
+        """Return matrices to linear accelerations, and to the stages of a smaller step, in the present contacts.
 
-    def first_change(self, start: _Instant, end: _Instant) -> tuple[int, float] | None:
+        They are (nv, 2 nv) from the state, and (2 nv, 2 nv + s nv) from the state at the step's start and from what
+        remains of the accelerations of the s stages before. Durations are shares of a step. Matrices of powers of two
+        are kept: the others lead to or from an event.
+        """
+        key = self.touching.tobytes(), duration
+        if key in self.matrices:
+            return self.matrices[key]
+        L = linear_part(self.mobility, self.stiffness[None], self.damping[None])
+        stages, *_ = runge_kutta_stages(L, duration * self.step)
+        found = L[0, self.torque.size :], [np.concatenate([part[0] for part in stage], axis=1) for stage in stages]
+        if np.frexp(duration)[0] == 0.5:
+            self.matrices[key] = found
+        return found
+
+    def longest_share(self) -> float:
+        """Return the power of two of a step that resolves the contacts' vibrations, however small they are.
+
+        Whether a flank pushes depends on them: a quintic through a radian of a vibration is within 2e-5 of it.
+        """
+        pressed = self.contacts.at(self.touching)
+        own = self.mobility[0, pressed.joint, pressed.joint]
+        rates = np.maximum(np.sqrt(pressed.stiffness * own), pressed.damping * own)
+        return float(2.0 ** min(-1.0, -np.ceil(np.log2(self.step * rates)).max(initial=1.0)))
+
+    def off_halfway(self, start: _Instant, halfway: _Instant, end: _Instant) -> float:
+        """Return by how much the quintic between start and end is off halfway, as a multiple of what it may be."""
+        n = self.torque.size
+        motions = ((at.state[:n], *np.split(at.slope[: 2 * n], 2)) for at in (start, end))
+        q = halfway.state[:n]
+        off = np.abs(_quintic_halfway((end.share - start.share) * self.step, *motions) - q)
+        # Diverging angles need not be followed closer than their digits allow.
+        return float((off / (_RESOLVED * np.maximum(1.0, np.abs(q)))).max())
+
+    def first_change(self, start: _Instant, halfway: _Instant, end: _Instant) -> tuple[int, float] | None:
         """Return which contact is the first to begin or end between two instants, and at what share; None if none."""
         n, joints = self.torque.size, np.asarray(self.contacts.joint)
-        pressed = self.contacts.event_function(end.state[joints], end.state[n + joints]) > 0.0
+        pressed = [self.contacts.event_function(at.state[joints], at.state[n + joints]) > 0.0 for at in (halfway, end)]
+        changed_halfway, changed = np.stack(pressed) != self.touching
         changes = []
-        for place in np.flatnonzero(pressed != self.touching).tolist():
+        for place in np.flatnonzero(changed_halfway | changed).tolist():
             joint = int(joints[place])
             before, after = (
                 np.array([instant.state[joint], instant.state[n + joint], instant.slope[n + joint]])
@@ -244,9 +294,9 @@ class _CopyContacts:
             duration = (end.share - start.share) * self.step
             turn = quintic_hermite(duration, before, after)
             of_joint = self.contacts.at(place), turn.tolist(), (polyder(turn) / duration).tolist()
-            share = 1.0  # where a contact begins and ends between them
-            if _event_function(0.0, *of_joint) * _event_function(1.0, *of_joint) < 0.0:
-                share = float(brentq(_event_function, 0.0, 1.0, of_joint, xtol=1e-12))
+            share = 0.5 if changed_halfway[place] else 1.0
+            if _event_function(0.0, *of_joint) * _event_function(share, *of_joint) < 0.0:
+                share = float(brentq(_event_function, 0.0, share, of_joint, xtol=1e-12))
             changes.append((start.share + share * (end.share - start.share) if share < 1.0 else end.share, place))
         if not changes:
             return None
@@ -281,6 +331,13 @@ class _CopyContacts:
             np.array(places, dtype=np.intp),
             np.array(met, dtype=bool),
         )
+
+
+def _quintic_halfway(duration: float, start: Sequence[Array], end: Sequence[Array]) -> Array:
+    """Return the middle (...) of the quintic through angles, rates and accelerations (...) at a duration's ends."""
+    (q0, v0, a0), (q1, v1, a1) = start, end
+    middle: Array = (q0 + q1) / 2 + duration * (5 / 32 * (v0 - v1) + duration / 64 * (a0 + a1))
+    return middle
 
 
 def _event_function(share: float, contact: Contact, turn: Sequence[float], rate: Sequence[float]) -> float:

@@ -18,6 +18,7 @@ from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedErro
 from vjm.model.modes import locked_modes
 from vjm.records import NO_PAYLOAD, Array, Indices, Mask, Payload, Recording
 from vjm.simulation.arm import Arm
+from vjm.simulation.exponential import linear_part, phi_functions, runge_kutta_stages
 from vjm.simulation.impacts import PATH_SHARES, ContactSteps
 from vjm.simulation.stick_slip import FrictionWeights, StickSlip, multiply
 from vjm.simulation.system import Drive, System, Trajectory, as_slice
@@ -379,29 +380,15 @@ class _LinearPropagator:
             raise SimulationDivergedError(0.0, step, remedy, problem) from error
         springs = np.zeros((len(inertia), n, 2 * n))
         springs[:, range(n), range(n)], springs[:, range(n), range(n, 2 * n)] = -stiffness, -damping
-        L = np.zeros((len(inertia), 2 * n, 2 * n))
-        L[:, :n, n:] = np.eye(n)
-        L[:, n:] = rate = inverse @ springs
-        half_flow, *half = phi_functions(L, step / 2, n)
-        flow, *full = _of_twice_the_step(half_flow, *half)
-        (half1, half2, half3), (phi1, phi2, phi3) = ([step * phi[:, :, n:] for phi in phis] for phis in (half, full))
-        late = half2 / 2 - phi3 + phi2 / 4 - half3 / 2
-        last = half2 / 4 - late
-        stages = _by_accelerations(
-            rate,
-            (half_flow, half1 / 2),
-            (half_flow, half1 / 2 - half2, half2),
-            (flow, phi1 - 2 * phi2, phi2, phi2),
-            (half_flow, half1 / 2 - 2 * late - last, late, late, last),
-            (flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3),
-        )
+        L = linear_part(inverse, stiffness, damping)
+        stages, halves, wholes = runge_kutta_stages(L, step)
         applied = np.zeros((len(inertia), 3 * n, n))  # torques are added to those of springs and dampers
         applied[:, 2 * n :] = np.eye(n)
-        with_springs = (np.concatenate([stage, springs @ stage], axis=1) for stage in stages)
+        by_accelerations = _by_accelerations(L[:, n:], stages)
+        with_springs = (np.concatenate([stage, springs @ stage], axis=1) for stage in by_accelerations)
         weights = [np.concatenate([applied, stage], axis=2) for stage in with_springs]
         response = inverse[:, :, self.system.active]
-        halves, wholes = (half_flow, half1, half2, half3), (flow, phi1, phi2, phi3)
-        friction = _friction_weights(step, rate, response, self.system.active, halves, wholes)
+        friction = _friction_weights(step, L[:, n:], response, self.system.active, halves, wholes)
         paths = _paths_by_motion(L, step) if self.system.has_contacts else np.zeros((len(L), 0, 4 * n))
         return _Weights._make(_transposed(part) for part in (*weights, response, *friction, paths))
 
@@ -466,13 +453,12 @@ def _paths_by_motion(L: Array, step: float) -> Array:
     return paths.reshape(copies, -1, 4 * n)
 
 
-def _by_accelerations(rate: Array, *stages: tuple[Array, ...]) -> list[Array]:
+def _by_accelerations(rate: Array, stages: Sequence[Sequence[Array]]) -> list[Array]:
     """Return matrices (C, 2 n, 2 n + s n) that lead to stages 1, 2, ... from the s stages' accelerations before each.
 
     Args:
         rate: (C, n, 2 n) from states to linear accelerations.
-        stages: of the second and later ones, matrices for the state at the step's start, and for the remainders of the
-            stages before: the accelerations without the linear ones.
+        stages: of the second and later ones, as of `runge_kutta_stages`.
     """
     size = rate.shape[2]
     found: list[Array] = [np.broadcast_to(np.eye(size), (len(rate), size, size))]
@@ -486,66 +472,3 @@ def _by_accelerations(rate: Array, *stages: tuple[Array, ...]) -> list[Array]:
 
 def _transposed(matrices: Array) -> Array:
     return np.ascontiguousarray(np.swapaxes(matrices, 1, 2))
-
-
-def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array, Array]:
-    """Return exp, phi_1, phi_2, phi_3 of step * L for x' = L x: power series of halved matrices, then doubling.
-
-    phi_k(z) = (phi_{k-1}(z) - 1 / (k - 1)!) / z with phi_0 = exp (Hochbruck and Ostermann 2010).
-    L is (K, m, m) [1/s]. The first `size` unknowns are angles, the next their rates, which are balanced with them.
-    """
-    units, halvings, (flow, phi1, phi2, phi3) = _of_halved_step(L, step, size)
-    for _ in range(halvings):
-        flow, phi1, phi2, phi3 = _of_twice_the_step(flow, phi1, phi2, phi3)
-    back = units[:, None] / units
-    return flow * back, phi1 * back, phi2 * back, phi3 * back
-
-
-def flow_and_response(L: Array, step: float, size: int, forcing: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Return exp(step L) and the sum of phi_k(step L) F_k of forcing F_1, F_2, F_3 (K, m, p); L and size as above.
-
-    Doubling the forcing in place of the matrices, of which it has fewer columns, gives the same.
-    """
-    units, halvings, (flow, *phis) = _of_halved_step(L, step, size)
-    flows = [flow]
-    for _ in range(halvings):
-        flows.append(flows[-1] @ flows[-1])
-    F1, F2, F3 = (part / units[:, None] for part in forcing)
-    if F1.shape[2]:
-        for half in reversed(flows[:-1]):
-            F1, F2, F3 = (half @ F1 + F1) / 2 + F2 / 4 + F3 / 16, (half @ F2 + F2) / 4 + F3 / 8, (half @ F3 + F3) / 8
-    response = sum(phi @ part for phi, part in zip(phis, (F1, F2, F3), strict=True))
-    return flows[-1] * (units[:, None] / units), response * units[:, None]
-
-
-def _of_halved_step(L: Array, step: float, size: int) -> tuple[Array, int, tuple[Array, Array, Array, Array]]:
-    """Return the balanced unknowns' units (m,), and exp, phi_1, phi_2, phi_3 of a step that was halved so many times.
-
-    Arguments as of `phi_functions`.
-    """
-    stiffness = float(np.abs(L[:, size : 2 * size, :size]).sum(axis=-1).max(initial=0.0))
-    units = np.ones(L.shape[-1])
-    units[size : 2 * size] = max(float(np.sqrt(stiffness)), 1e-6)
-    W = step * L * (units / units[:, None])
-    norm = float(np.abs(W).sum(axis=2).max(initial=0.0))
-    halvings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / 0.5))))
-    X = W / 2.0**halvings
-    X2 = X @ X
-    identity, X3 = np.eye(W.shape[-1]), X2 @ X
-    c = 1 / np.cumprod(np.arange(1.0, 12.0))[2:]  # 1 / (k + 3)!, enough for norms of up to a half
-    phi3 = c[6] * identity + c[7] * X + c[8] * X2
-    phi3 = c[3] * identity + c[4] * X + c[5] * X2 + X3 @ phi3
-    phi3 = c[0] * identity + c[1] * X + c[2] * X2 + X3 @ phi3
-    phi2 = identity / 2 + X @ phi3
-    phi1 = identity + X @ phi2
-    return units, halvings, (identity + X @ phi1, phi1, phi2, phi3)
-
-
-def _of_twice_the_step(flow: Array, phi1: Array, phi2: Array, phi3: Array) -> tuple[Array, Array, Array, Array]:
-    """Return exp, phi_1, phi_2, phi_3 of 2 z from those of z (Hochbruck and Ostermann 2010)."""
-    return (
-        flow @ flow,
-        (flow @ phi1 + phi1) / 2,
-        (flow @ phi2 + phi1 + phi2) / 4,
-        (flow @ phi3 + phi1 / 2 + phi2 + phi3) / 8,
-    )

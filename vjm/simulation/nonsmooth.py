@@ -12,9 +12,6 @@ from vjm.records import Array, Indices, Mask
 from vjm.simulation.stick_slip import FrictionHistory
 from vjm.simulation.system import Trajectory
 
-# Steps of `Impacts.path` in a piece: 0.9 rad of a contact's vibration, of which the forcing is close to a quadratic.
-_STEPS_IN_PIECE = 3
-
 
 class Pieces(NamedTuple):
     """P pieces of intervals, in each of which joints are held or slip in one direction, and touch a flank or do not.
@@ -64,7 +61,7 @@ class Pieces(NamedTuple):
         events = [each.instants for each in touches] + ([] if slips is None else [slips.instants])
         bounds = np.unique(np.concatenate([edges, *events]))
         if path is not None and path.impacts is not None:
-            bounds = _cut(bounds, 2 * (path.impacts.path.time[::_STEPS_IN_PIECE] - path.time[0]) / path.step)
+            bounds = _cut(bounds, 2 * (path.impacts.path.time - path.time[0]) / path.step)
         middle = (bounds[:-1] + bounds[1:]) / 2
         none = np.zeros((middle.size, 0))
         held, direction, lost = (none.astype(bool), none, none) if slips is None else slips.during(bounds, middle)

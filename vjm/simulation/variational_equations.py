@@ -20,7 +20,8 @@ from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import flow_and_response, locked_joint_frequencies
+from vjm.simulation.exponential import flow_and_response
+from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.measurement import DIFFERENCE_STEP, Observations
 from vjm.simulation.nonsmooth import ContactCoefficients, DryFrictionCoefficients, Pieces
 from vjm.simulation.system import Trajectory, torque_at
