@@ -167,17 +167,9 @@ def test_jitter_is_searched_by_its_variance_and_changes_no_prediction() -> None:
 def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
     recording = recording_of(RIG)
     variants = MarkerOffset().variants(RIG, [recording])
-    assert [(each.link, each.marker, each.column) for each in variants] == [
-        (0, 1, 0),
-        (1, 1, 1),
-        (1, 2, 2),
-        (1, 3, 3),
-        (2, 1, 4),
-        (2, 2, 5),
-    ]
-    for each in variants:
+    assert [(each.link, each.marker) for each in variants] == [(0, 1), (1, 1), (1, 2), (1, 3), (2, 1), (2, 2)]
+    for own, each in enumerate(variants):
         displaced = each.at(np.array([2.0, -1.0])).marker_positions(POSITIONS, HEADINGS, TIME) - POSITIONS
-        own = each.column
         assert not np.delete(displaced, own, axis=1).any()
         expected = (2 - 1j) * 0.005 * RIG.links[each.link].length * np.exp(1j * HEADINGS[:, own])
         assert displaced[:, own] @ [1, 1j] == pytest.approx(expected)
@@ -199,7 +191,7 @@ def test_all_markers_of_a_link_are_displaced_alike() -> None:
 @given(st.permutations(range(7)))
 def test_what_a_camera_sees_does_not_depend_on_the_order_of_causes(order: list[int]) -> None:
     """An offset marker is turned with the rest of the picture, which the lens has bent and which is shifted last."""
-    offset = MarkerOffset(link=1, marker=2, first=1, along=0.3, across=-0.1)
+    offset = MarkerOffset(link=1, marker=2, columns=(1, 2, 3), along=0.3, across=-0.1)
     scale, turn, shift = CameraScale(scale=1.2), CameraRotation(angle=0.4), CameraTranslation(dx=0.2, dy=-0.5)
     shake, lens = CameraVibration(amplitude=0.1, frequency=1.3, direction=0.5), LensDistortion(k1=0.05)
     tilt = CameraTilt(px=0.1, py=-0.05)
@@ -213,9 +205,13 @@ def test_what_a_camera_sees_does_not_depend_on_the_order_of_causes(order: list[i
 
 
 def test_a_marker_of_a_later_link_needs_its_rig() -> None:
-    assert MarkerOffset(marker=2, along=0.1).column == 1
-    with pytest.raises(ShapeError, match="variants"):
-        _ = MarkerOffset(marker=2, along=0.1, link=1).column
+    expected = np.zeros(POSITIONS.shape)
+    expected[:, 1] = 0.1 * np.stack([np.cos(HEADINGS[:, 1]), np.sin(HEADINGS[:, 1])], axis=-1)
+    moved = MarkerOffset(marker=2, along=0.1).marker_positions(POSITIONS, HEADINGS, TIME)
+    assert moved - POSITIONS == pytest.approx(expected, abs=1e-12)
+    for effect in (MarkerOffset(marker=2, along=0.1, link=1), MarkerDatum(along=0.1, link=1)):
+        with pytest.raises(ShapeError, match="variants"):
+            effect.marker_positions(POSITIONS, HEADINGS, TIME)
 
 
 @given(st.floats(0.0, 0.01), st.floats(-3.14, 3.14))

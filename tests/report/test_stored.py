@@ -99,7 +99,7 @@ def test_faults_name_the_key(tmp_path: Path, change: dict[str, Any], fault: str)
     ("marker", "fault"), [(9.0, r"marker': got 9; expected one of \[1, 2, 3, 4\]"), (1.5, "whole")]
 )
 def test_a_marker_that_is_not_there_is_refused(tmp_path: Path, marker: float, fault: str) -> None:
-    experiment, model = two_links((MarkerOffset(link=1, marker=4, along=1e-3, first=3),))
+    experiment, model = two_links((MarkerOffset(link=1, marker=4, along=1e-3, columns=(3, 4, 5, 6)),))
     content = written(model, tmp_path / "model.json")
     content["effects"][0]["parameters"]["marker"] = marker
     (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")

@@ -1,6 +1,6 @@
 """Effects that a model may lack: candidate physics and sensor faults, one small class each."""
 
-from vjm.effects import actuator, bending, joint, loads, sensors
+from vjm.effects import actuator, bending, camera, joint, loads, sensors
 from vjm.effects.actuator import ActuatorLag as ActuatorLag
 from vjm.effects.actuator import Cogging as Cogging
 from vjm.effects.actuator import TorqueSaturation as TorqueSaturation
@@ -13,6 +13,13 @@ from vjm.effects.bending import StructuralDamping as StructuralDamping
 from vjm.effects.bending import Taper as Taper
 from vjm.effects.bending import UnmodelledMode as UnmodelledMode
 from vjm.effects.bending import ViscoelasticCreep as ViscoelasticCreep
+from vjm.effects.camera import CameraRotation as CameraRotation
+from vjm.effects.camera import CameraScale as CameraScale
+from vjm.effects.camera import CameraTilt as CameraTilt
+from vjm.effects.camera import CameraTranslation as CameraTranslation
+from vjm.effects.camera import CameraVibration as CameraVibration
+from vjm.effects.camera import LensDistortion as LensDistortion
+from vjm.effects.camera import RollingShutter as RollingShutter
 from vjm.effects.effect import Effect as Effect
 from vjm.effects.effect import Parameter as Parameter
 from vjm.effects.effect import StateFunction as StateFunction
@@ -36,25 +43,18 @@ from vjm.effects.loads import MarkerMass as MarkerMass
 from vjm.effects.loads import PayloadBody as PayloadBody
 from vjm.effects.loads import QuadraticDrag as QuadraticDrag
 from vjm.effects.loads import TipPayload as TipPayload
-from vjm.effects.sensors import CameraRotation as CameraRotation
-from vjm.effects.sensors import CameraScale as CameraScale
-from vjm.effects.sensors import CameraTilt as CameraTilt
-from vjm.effects.sensors import CameraTranslation as CameraTranslation
-from vjm.effects.sensors import CameraVibration as CameraVibration
 from vjm.effects.sensors import ClockScale as ClockScale
 from vjm.effects.sensors import EncoderEccentricity as EncoderEccentricity
 from vjm.effects.sensors import EncoderOffset as EncoderOffset
-from vjm.effects.sensors import LensDistortion as LensDistortion
 from vjm.effects.sensors import MarkerDatum as MarkerDatum
 from vjm.effects.sensors import MarkerOffset as MarkerOffset
-from vjm.effects.sensors import RollingShutter as RollingShutter
 from vjm.effects.sensors import TimeOffset as TimeOffset
 from vjm.effects.sensors import TimestampJitter as TimestampJitter
 
 # One absent instance of each public effect in these modules.
 BUILTIN: tuple[Effect, ...] = tuple(
     kind()
-    for module in (loads, joint, actuator, bending, sensors)
+    for module in (loads, joint, actuator, bending, camera, sensors)
     for name, kind in vars(module).items()
     if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__ and name[0] != "_"
 )
