@@ -14,6 +14,7 @@ from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
 from vjm.diagnosis import candidate_fit, reference, selection
 from vjm.diagnosis.alternatives import _with_errors
 from vjm.diagnosis.candidate_fit import (
+    SearchOptions,
     StoppingRule,
     _multistart,
     continued,
@@ -398,7 +399,7 @@ def test_friction_that_explains_all_is_fitted_before_a_slow_candidate() -> None:
     start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1)))
     steps: list[str] = []
     effects = [BaseCompliance(), CoulombFriction()]
-    (found,) = selection.Search(RIG, start, effects, selection.SearchOptions(), steps.append).run().best.effects
+    (found,) = selection.Search(RIG, start, effects, SearchOptions(), steps.append).run().best.effects
     assert found.values["torque"] == pytest.approx(0.008, rel=0.01)
     assert [step for step in steps if step.startswith("fitting coulomb_friction")]
     assert not [step for step in steps if "base_compliance" in step]
@@ -428,7 +429,7 @@ def test_what_is_small_is_looked_for_in_whole_recordings_at_once(size: float, in
     base = corrected_for_discretization(fit_trajectory(start.point.problem, start.point.x), RIG)
     assert base is not None
     steps: list[str] = []
-    best = selection.Search(RIG, base, [CubicStiffness()], selection.SearchOptions(), steps.append).run().best
+    best = selection.Search(RIG, base, [CubicStiffness()], SearchOptions(), steps.append).run().best
     assert ("fitting segments" in steps) is in_segments
     assert best.misfit == pytest.approx(1.0, abs=0.05)
     assert len(best.effects) == len(truth)
@@ -530,7 +531,7 @@ def test_friction_is_followed_over_whole_recordings_unless_segments_lose_it(
     start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0)))
     if lost:
         monkeypatch.setattr(selection, "largest_chi2_in_longer", lambda shorter, whole, duration: shorter.chi2)
-    search = selection.Search(RIG, start, [CoulombFriction()], selection.SearchOptions(), lambda text: None)
+    search = selection.Search(RIG, start, [CoulombFriction()], SearchOptions(), lambda text: None)
     best = search.run().best
     assert [effect.id for effect in best.effects] == ["coulomb_friction"]
     assert (len(best.point.runs) > 2) == lost
@@ -564,7 +565,7 @@ def test_one_of_two_sizes_may_be_at_its_bound_on_the_way_but_not_in_the_end(
     assert found is (None if gy == 30.0 else fit)
     for name in ("is_determined", "predicts_better"):
         monkeypatch.setattr(selection, name, lambda *_: True)
-    search = selection.Search(RIG, start, [], selection.SearchOptions(), lambda text: None)
+    search = selection.Search(RIG, start, [], SearchOptions(), lambda text: None)
     monkeypatch.setattr(search, "refit_without", lambda *_: start)
     for sizes, kept in (({"gx": -30.0}, False), ({"gx": 3.0, "gy": 0.4}, True)):
         ended = SimpleNamespace(new_effects=(replace(gravity, **sizes),))
@@ -651,7 +652,7 @@ def test_a_known_model_is_fitted_again_only_if_it_may_be_in_another_minimum(monk
     start = in_segments(recorded(Arm.of(chain_of(), (truth,)), 1))
     fit = refit(start, [truth])
     assert fit is not None
-    search = selection.Search(RIG, start, [], selection.SearchOptions(), lambda text: None)
+    search = selection.Search(RIG, start, [], SearchOptions(), lambda text: None)
     refits: list[object] = []
     monkeypatch.setattr(selection, "refit", lambda *arguments: refits.append(arguments) or refit(*arguments))
     assert search.refit_without(fit, fit.effects[0], {start.effect_keys: start}) is start
@@ -678,7 +679,7 @@ def test_a_further_parameter_must_bring_its_share() -> None:
         )
     )
     assert two.chi2 == pytest.approx(one.chi2, rel=1e-3)
-    plain, strict = selection.SearchOptions(), selection.SearchOptions(parameter_share=1.0)
+    plain, strict = SearchOptions(), selection.SearchOptions(parameter_share=1.0)
     assert plain.criterion(two) == two.chi2
     assert strict.criterion(two) == pytest.approx(2 * strict.criterion(one), rel=1e-3)
     assert strict.criterion(held) == pytest.approx(2 * strict.criterion(one), rel=1e-3)  # mass and offset
@@ -744,7 +745,7 @@ def test_what_a_finer_chain_explains_calls_for_no_effect(coefficient: float) -> 
         Arm.of(chain_of(3), (CubicStiffness(link=0, coefficient=coefficient),)) if coefficient else Arm(chain_of(30))
     )
     fit = in_segments(recorded(truth, 1, factor=2.5))
-    search = selection.Search(RIG, fit, [], selection.SearchOptions(), lambda text: None)
+    search = selection.Search(RIG, fit, [], SearchOptions(), lambda text: None)
     assert fit.point.noise_limit < fit.chi2 < 4 * fit.point.expected_chi2
     assert search._leaves_only_noise(fit) == (not coefficient)
 
@@ -755,7 +756,7 @@ def test_a_single_effect_is_dropped_where_a_linear_model_says_that_it_is_not_nee
     start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (cubic,)), 1, factor=2.0)))
     fit = refit(start, [replace(cubic, coefficient=0.01)])
     assert fit is not None
-    search = selection.Search(RIG, start, [cubic], selection.SearchOptions(), lambda text: None)
+    search = selection.Search(RIG, start, [cubic], SearchOptions(), lambda text: None)
     fits = {fit.effect_keys: fit}
     assert search._backward_elimination(fit, fits) is fit
     assert len(search._backward_elimination(fit, fits, doubtful=True).effects) == bool(coefficient)
@@ -777,7 +778,7 @@ def test_without_causes_the_best_minimum_found_is_the_model_of_the_report() -> N
 @pytest.mark.slow
 def test_no_effect_is_found_in_bends_so_large_that_eight_joints_leave_ten_times_the_noise() -> None:
     start = TrajectoryFit(point_of(chain_of(8), (), recorded(Arm(chain_of(64)), 1, duration=4.0, factor=4.0)))
-    search = selection.Search(RIG, start, [CubicStiffness()], selection.SearchOptions(), lambda text: None)
+    search = selection.Search(RIG, start, [CubicStiffness()], SearchOptions(), lambda text: None)
     result = search.run()
     assert not result.best.effects
     assert result.best.misfit == pytest.approx(1.0, abs=0.03)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import vjm
 from tests.diagnosis.rigs import RIG, chain_of, first_seconds, point_of, recorded
 from tests.diagnosis.rigs import in_segments as fitted_in_segments
-from vjm.diagnosis.candidate_fit import StoppingRule, refit
+from vjm.diagnosis.candidate_fit import SearchOptions, StoppingRule, refit
 from vjm.diagnosis.segments import (
     draw_segments,
     fit_all,
@@ -25,7 +25,7 @@ from vjm.diagnosis.segments import (
     segments,
     simulate_segments,
 )
-from vjm.diagnosis.selection import Search, SearchOptions
+from vjm.diagnosis.selection import Search
 from vjm.effects import ClampCompliance, CubicStiffness, TipPayload, ViscoelasticCreep
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE

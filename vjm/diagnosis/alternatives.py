@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import information_of, predicted_increase, starting_effect
+from vjm.diagnosis.candidate_fit import SearchOptions, information_of, predicted_increase, starting_effect
 from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.segments import fit_segments
-from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
+from vjm.diagnosis.selection import Fits, Search, SearchResult
 from vjm.diagnosis.simulations import open_loop
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth

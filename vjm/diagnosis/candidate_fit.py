@@ -8,7 +8,7 @@ linear where they may be zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from time import monotonic
 
@@ -34,6 +34,36 @@ LEAST_SHARE = 0.0025  # of chi^2: what an effect explains from which it matters 
 _LARGEST_START = 5.0  # a linear estimate beyond that is far outside the range where the effect is linear
 LEAST_START = 0.5  # for friction, play and joint compliance, whose derivatives vanish or are misleading near zero
 _STEPS_BETWEEN_MULTISTARTS = 3  # where stick-slip or play gives initial states many maxima
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Options of a search.
+
+    Attributes:
+        alpha: significance level of the search as a whole.
+        least_share: decrease of chi^2 from which an effect matters, as a share of the chi^2 that remains.
+        parameter_share: relative penalty of chi^2 for each free parameter of the effects, as of `criterion`.
+        max_effects: number of effects at most.
+        seed: of random numbers.
+        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
+    """
+
+    alpha: float = 0.01
+    least_share: float = LEAST_SHARE
+    parameter_share: float = 0.0
+    max_effects: int = 3
+    seed: int = 0
+    deadline: float = np.inf
+
+    def criterion(self, fit: TrajectoryFit) -> float:
+        """Return chi^2 of a model, larger for each free parameter of its effects: rivals are ranked by it."""
+        parameters = int(np.sum(~fit.point.held[len(fit.point.problem.parametrisation.coordinates) :]))
+        return fit.chi2 * (1 + self.parameter_share) ** parameters
+
+    def negligible(self, chi2: float) -> float:
+        """Return the decrease of a chi^2 from which an effect matters: a share of what remains after it."""
+        return chi2 * self.least_share / (1 + self.least_share)
 
 
 class StoppingRule:

@@ -15,12 +15,12 @@ import numpy as np
 
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives, find_next_best, ranked
 from vjm.diagnosis.baseline import Baseline, fit_baseline
-from vjm.diagnosis.candidate_fit import model_of
+from vjm.diagnosis.candidate_fit import SearchOptions, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.reference import add_changed_recordings, find_preexisting_effects
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
-from vjm.diagnosis.selection import Search, SearchOptions, SearchResult
+from vjm.diagnosis.selection import Search, SearchResult
 from vjm.diagnosis.simulations import (
     open_loop,
     simulate_recordings,

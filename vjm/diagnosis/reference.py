@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from vjm.diagnosis.baseline import Baseline
-from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
-from vjm.diagnosis.selection import Report, Search, SearchOptions
+from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT, SearchOptions
+from vjm.diagnosis.selection import Report, Search
 from vjm.diagnosis.simulations import open_loop
 from vjm.diagnosis.workers import Workers
 from vjm.effects import Effect

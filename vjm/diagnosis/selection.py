@@ -23,6 +23,7 @@ from scipy.stats import norm
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     LEAST_SHARE,
+    SearchOptions,
     StoppingRule,
     continued,
     predicted_increase,
@@ -47,43 +48,13 @@ from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.identification.trajectory_fit import LARGEST_GAIN, Point, TrajectoryFit
 from vjm.records import Rig
 from vjm.simulation.run import all_followed
 from vjm.text import ratio
 
 Report = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
-
-
-@dataclass(frozen=True)
-class SearchOptions:
-    """Options of a search.
-
-    Attributes:
-        alpha: significance level of the search as a whole.
-        least_share: decrease of chi^2 from which an effect matters, as a share of the chi^2 that remains.
-        parameter_share: relative penalty of chi^2 for each free parameter of the effects, as of `criterion`.
-        max_effects: number of effects at most.
-        seed: of random numbers.
-        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
-    """
-
-    alpha: float = 0.01
-    least_share: float = LEAST_SHARE
-    parameter_share: float = 0.0
-    max_effects: int = 3
-    seed: int = 0
-    deadline: float = np.inf
-
-    def criterion(self, fit: TrajectoryFit) -> float:
-        """Return chi^2 of a model, larger for each free parameter of its effects: rivals are ranked by it."""
-        parameters = int(np.sum(~fit.point.held[len(fit.point.problem.parametrisation.coordinates) :]))
-        return fit.chi2 * (1 + self.parameter_share) ** parameters
-
-    def negligible(self, chi2: float) -> float:
-        """Return the decrease of a chi^2 from which an effect matters: a share of what remains after it."""
-        return chi2 * self.least_share / (1 + self.least_share)
 
 
 @dataclass(frozen=True)
@@ -372,10 +343,12 @@ class Search:
         Candidates are fitted in the order of their score statistics, the predicted decreases of chi^2, until the best
         fit exceeds what the rest can gain, or leaves nothing to them. Stick-slip and play, which are slow to fit, come
         after all that may gain as much. All are fitted where the model is too far from the recordings for a linear
-        model; compliant joints always are, being nonlinear early.
+        model; compliant joints always are, being nonlinear early. A model in a wrong minimum predicts a small share of
+        what fits then gain: others are taken to gain as many times their statistics, and run to their end.
         """
         screened, followed, base = family.screen, all_followed(best.point.runs), fits.get(self.start.effect_keys)
         trial: TrajectoryFit | None = None
+        underestimated = 1.0  # by this factor at most
 
         def largest_gain(k: int) -> float:
             # No fit of a smooth effect without a joint of its own has gained more than twice its score statistic.
@@ -387,17 +360,26 @@ class Search:
             compliant = effect.adds_joint(best.point.chain) and not effect.nonsmooth
             # Compliant joints, which may vibrate at frequencies between those of the screen, are always fitted, in the
             # first segments only: longer ones have better linear predictions and slower fits.
-            return not followed or (compliant and base is not None) or 2 * screened.statistics[k] > gained
+            return (
+                not followed or (compliant and base is not None) or 2 * underestimated * screened.statistics[k] > gained
+            )
 
         order, count = sorted(needed, key=largest_gain, reverse=True), self.workers.count
         for first in range(0, len(order), count):  # fitted side by side
-            promising = [self._with_candidates(best, family, [k]) for k in order[first : first + count] if promises(k)]
+            chosen = [k for k in order[first : first + count] if promises(k)]
+            promising = [self._with_candidates(best, family, [k]) for k in chosen]
             if base is not None:
                 restarted = list(filter(None, (self._from_base(base, best, effects) for effects in promising)))
                 trial = self._best_fit(base, restarted, trial, fits) if restarted else trial
-            trial = self._best_fit(best, promising, trial, fits) if promising else trial
+            bounded = underestimated <= LARGEST_GAIN
+            trial = self._best_fit(best, promising, trial, fits, bounded) if promising else trial
             if self._leaves_only_noise(trial):
                 return trial
+            for k in chosen:
+                effect = screened.effects[k]
+                fit = fits.get(best.effect_keys | {effect.key})
+                if fit is not None and not (effect.nonsmooth or effect.adds_joint(best.point.chain)):
+                    underestimated = max(underestimated, (best.chi2 - fit.chi2) / screened.statistics[k])
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
         if trial is not None and any(effect.adds_joint(best.point.chain) for effect in added):
             trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.deadline)
@@ -406,10 +388,18 @@ class Search:
         return trial
 
     def _best_fit(
-        self, start: TrajectoryFit, steps: Sequence[Sequence[Effect]], best: TrajectoryFit | None, fits: Fits
+        self,
+        start: TrajectoryFit,
+        steps: Sequence[Sequence[Effect]],
+        best: TrajectoryFit | None,
+        fits: Fits,
+        bounded: bool = True,
     ) -> TrajectoryFit | None:
-        """Fit models from a start, and return the best of them and of the best so far."""
-        trials = self.fit_models(start, steps, np.inf if best is None else best.chi2, fits)
+        """Fit models from a start, and return the best of them and of the best so far.
+
+        They are given up, if bounded, where they are not expected to become the best.
+        """
+        trials = self.fit_models(start, steps, np.inf if best is None or not bounded else best.chi2, fits)
         return min([*trials, *([] if best is None else [best])], key=self.options.criterion, default=None)
 
     def _from_base(self, base: TrajectoryFit, best: TrajectoryFit, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -500,8 +490,8 @@ class Search:
         """Fit a model again without one of its effects; None where that cannot be simulated, or not in time.
 
         A fit that is known, or the model that the search started from, will do where its chi^2 is no larger than the
-        linear model makes it within a factor of three, as of `stays_above`: then it is in no minimum of its own. After
-        the deadline it will do whatever its chi^2.
+        linear model makes it, times what fits may gain at most: then it is in no minimum of its own. After the deadline
+        it will do whatever its chi^2.
 
         Args:
             fit: the model.
@@ -512,7 +502,7 @@ class Search:
         remaining = tuple(present for present in fit.effects if present is not effect)
         keys, is_whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
         known = fits.get(keys, self.start if is_whole and keys == self.start.effect_keys else None)
-        sufficient = known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
+        sufficient = known is not None and known.chi2 - fit.chi2 <= LARGEST_GAIN * predicted_increase(fit, effect)
         if sufficient or self.out_of_time:
             return known
         trials = filter(None, (refit(fit, remaining, self.stop(max_chi2)), known))

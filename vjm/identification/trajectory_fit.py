@@ -41,6 +41,8 @@ DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly
 # Decrease by a step of the coordinates, in units of the reduced chi^2, below which they have settled where the cost is
 # nonsmooth: a step of 0.3 standard errors, which adds 4 % to the error.
 _SETTLED_DECREASE = 0.1
+# Decreases predicted for its next step that a fit is given: one that then stays above the best so far is given up.
+LARGEST_GAIN = 3.0
 _GROWTH = 3.0  # of the horizon: a frequency fitted to it is right to far less than the sixth of a cycle that is safe
 
 
@@ -384,7 +386,7 @@ def fit_trajectory(
 
 def stays_above(point: Point, predicted: float, max_chi2: float) -> bool:
     """Return True if three times the decrease predicted for the next step would leave chi^2 above a bound."""
-    return point.chi2 - 3 * predicted > max_chi2
+    return point.chi2 - LARGEST_GAIN * predicted > max_chi2
 
 
 @dataclass(frozen=True)
