@@ -91,3 +91,17 @@ def test_the_discretization_error_is_that_of_the_model_with_the_causes(plant: Pl
     assert true == pytest.approx(truth.effects[0].parameters["loss_factor"], rel=0.03)
     assert true.min() - 3 * loss.std < loss.value < true.max() + 3 * loss.std
     assert abs(damping.value - truth.setting.beam.kelvin_voigt_time) < 3 * damping.std
+
+
+@pytest.mark.slow
+def test_the_discretization_error_is_measured_again_where_causes_change(plant: Plant) -> None:
+    """Two bodies look like a mass on the tip at first; an error measured beside that looks like a taper."""
+    file, truth = plant("hub", "marker_mass", "payload_body", seed=941)
+    diagnosis = diagnosed(file, ["tip_payload", "marker_mass", "payload_body", "taper", "torque_gain"])
+    sizes = {cause.effect.id: cause.parameters for cause in diagnosis.causes}
+    assert sizes.keys() == {"marker_mass", "payload_body"}
+    for planted in truth.effects:
+        for name, value in planted.parameters.items():
+            size = sizes[planted.effect][name]
+            assert size.std is not None
+            assert abs(size.value - value) < 3 * size.std

@@ -26,10 +26,11 @@ def bias_of(fit: TrajectoryFit, rig: Rig) -> FirstOrderBias | None:
 def corrected_for_discretization(
     fit: TrajectoryFit, rig: Rig, negligible: float = 0.0, deadline: float = np.inf
 ) -> TrajectoryFit | None:
-    """Fit a model again with its chain's discretization error corrected.
+    """Fit a model again with its chain's discretization error corrected, measured beside its own effects.
 
     Args:
-        fit: the model. Where its misfit exceeds `CLOSE_MISFIT`, more is missing than that error, and it is returned.
+        fit: the model. Where its misfit exceeds `CLOSE_MISFIT`, more is missing than that error, and it is returned. A
+            correction that it has, measured beside other effects, is replaced.
         rig: the arm.
         negligible: decrease of chi^2 up to which only the estimates of a model with stick-slip or play are corrected.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s].
@@ -39,6 +40,16 @@ def corrected_for_discretization(
     """
     if fit.misfit > CLOSE_MISFIT:
         return fit
+    if monotonic() > deadline:
+        return None
+    point = with_offset(fit.point, None)
+    if point is not fit.point:
+        try:
+            fit = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+        except (SimulationDivergedError, InsufficientDataError):
+            return None
+        if fit.misfit > CLOSE_MISFIT:
+            return None
     if is_nonsmooth(fit.effects):
         return _corrected_to_first_order(fit, rig, negligible, deadline)
     bias = DiscretizationBias.of(fit.point, rig, CLOSE_MISFIT, deadline)
@@ -68,21 +79,3 @@ def _corrected_to_first_order(fit: TrajectoryFit, rig: Rig, negligible: float, d
     runs = zip(corrected.point.runs, fit.point.runs, bias.offset, strict=True)
     offset = [after.predicted - before.predicted + difference for after, before, difference in runs]
     return replace(fit, point=with_offset(fit.point, offset), shift=corrected.point.x - fit.point.x)
-
-
-def corrected_again(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
-    """Measure the discretization error beside the effects of a model, and refit; None where that cannot be done.
-
-    An error measured without these effects is wrong: initial states of the incomplete model absorb part of what is
-    missing, those of a finer chain do not, and the difference looks like a discretization error, which biases damping.
-    """
-    if monotonic() > deadline:
-        return None
-    point = with_offset(fit.point, None)
-    try:
-        if point is not fit.point:
-            fit = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
-    except (SimulationDivergedError, InsufficientDataError):
-        return None
-    corrected = corrected_for_discretization(fit, rig, negligible, deadline)
-    return None if corrected is None or corrected.shift is None else corrected

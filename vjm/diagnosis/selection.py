@@ -33,7 +33,7 @@ from vjm.diagnosis.candidate_fit import (
     starting_effect,
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
-from vjm.diagnosis.discretization import CLOSE_MISFIT, bias_of, corrected_again, corrected_for_discretization
+from vjm.diagnosis.discretization import CLOSE_MISFIT, bias_of, corrected_for_discretization
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.diagnosis.segments import (
     draw_segments,
@@ -118,6 +118,7 @@ class Search:
         self.unjustified: list[str] = []
         self.deadline, self.stopped = options.deadline, False
         self.kept_in_segments = "no effects are looked for"
+        self._measured_beside = start.effect_keys  # the discretization error, if it is known
         self._all_segments: Point | None = None  # all segments, where the search begins with some of them
         self._decreases: dict[Key, float] = {}
         self._first_tests: FamilyTest | None = None  # beside the model without effects
@@ -142,7 +143,8 @@ class Search:
         durations = durations if self._all_segments else durations[1:]
         fits = segment_fits = {best.effect_keys: best}
         best, family = self._forward_selection(best, fits, small=whole)
-        stages = [(best, fits)]
+        # Beside the discretization error of another model others do not compare.
+        stages: list[tuple[TrajectoryFit, Fits]] = [(best, {} if whole else fits)]
         for duration in durations:
             if self.out_of_time:
                 break
@@ -175,11 +177,10 @@ class Search:
         if best.new_effects and not self.out_of_time:
             self.report("converging")
             best = fits[best.effect_keys] = continued(best, self.deadline)
-            if whole or (is_nonsmooth(best.effects) and self._is_measurable(best)):
-                again = corrected_again(best, self.rig, self.options.negligible(best.chi2), self.deadline) or best
-                if again.chi2 != best.chi2:  # beside another discretization error others do not compare
-                    fits, family = {}, self.screen(again)
-                best = fits[best.effect_keys] = again
+            again = (self._corrected(best) if self._is_measurable(best) else None) or best
+            if again.chi2 != best.chi2:  # beside another discretization error others do not compare
+                fits, family = {}, self.screen(again)
+            best = fits[best.effect_keys] = again
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
@@ -209,9 +210,14 @@ class Search:
         best = fits[fit.effect_keys] = corrected or fit
         if corrected is not None:  # an effect that stood in for the discretization error is not needed any more
             best = self._backward_elimination(best, fits, doubtful=True)
+        measured = {best.effect_keys}
         best, family = self._forward_selection(best, fits, small=corrected is not None)
-        while family is None and corrected and not self.out_of_time and (corrected := self._corrected(best)):
-            fits = {corrected.effect_keys: corrected}  # others, beside no discretization error, do not compare
+        while family is None and corrected and not self.out_of_time and best.effect_keys not in measured:
+            measured.add(best.effect_keys)
+            corrected = self._corrected(best)
+            if corrected is None:
+                break
+            fits = {corrected.effect_keys: corrected}  # others, beside another discretization error, do not compare
             best, family = self._forward_selection(corrected, fits, small=True)
         stages[-1] = best, fits
         return best, fits, family or self.screen(best)
@@ -309,8 +315,8 @@ class Search:
             best: the model.
             fits: known fits to the same recordings or segments, and the new ones.
             small: whether effects are looked for although only noise is left. The discretization error is then
-                measured as soon as the model comes close; with stick-slip or play, where it takes longer, before an
-                effect is added.
+                measured beside each model that comes close; with stick-slip or play, where it takes longer, before a
+                further effect is added.
 
         Returns:
             The model, and the score tests beside it; None instead of these where none were made, as only noise is left
@@ -565,8 +571,13 @@ class Search:
         return best, fits
 
     def _is_measurable(self, fit: TrajectoryFit) -> bool:
-        """Return True if a model's discretization error is not known, and no smaller than what else is missing."""
+        """Return True if a discretization error was not measured beside a model, nor is smaller than what is missing.
+
+        Measured beside other effects it is wrong: initial states absorb part of what is missing, those of a finer chain
+        do not, and the difference looks like a discretization error, which biases damping.
+        """
         known = all(run.observed.discretization_offset is not None for run in fit.point.runs)
+        known = known and self._measured_beside == fit.effect_keys
         return not known and fit.misfit <= CLOSE_MISFIT and not self.out_of_time
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
@@ -576,6 +587,7 @@ class Search:
         """
         self.report("measuring the discretization error")
         fit = continued(fit, self.deadline) if is_nonsmooth(fit.effects) else fit
+        self._measured_beside = fit.effect_keys
         return corrected_for_discretization(fit, self.rig, self.options.negligible(fit.chi2), self.deadline)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
