@@ -210,7 +210,7 @@ class Search:
         best = fits[fit.effect_keys] = corrected or fit
         if corrected is not None:  # an effect that stood in for the discretization error is not needed any more
             best = self._backward_elimination(best, fits, doubtful=True)
-        measured = {best.effect_keys}
+        measured = set() if is_nonsmooth(fit.effects) else {best.effect_keys}
         best, family = self._forward_selection(best, fits, small=corrected is not None)
         while family is None and corrected and not self.out_of_time and best.effect_keys not in measured:
             measured.add(best.effect_keys)
@@ -571,13 +571,13 @@ class Search:
         return best, fits
 
     def _is_measurable(self, fit: TrajectoryFit) -> bool:
-        """Return True if a discretization error was not measured beside a model, nor is smaller than what is missing.
+        """Return True if a model's discretization error is not known, and no smaller than what else is missing.
 
         Measured beside other effects it is wrong: initial states absorb part of what is missing, those of a finer chain
         do not, and the difference looks like a discretization error, which biases damping.
         """
-        known = all(run.observed.discretization_offset is not None for run in fit.point.runs)
-        known = known and self._measured_beside == fit.effect_keys
+        measured = all(run.observed.discretization_offset is not None for run in fit.point.runs)
+        known = measured and self._measured_beside == fit.effect_keys
         return not known and fit.misfit <= CLOSE_MISFIT and not self.out_of_time
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
