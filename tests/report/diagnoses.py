@@ -191,7 +191,7 @@ def named() -> Diagnosis:
 @cache
 def pair() -> Diagnosis:
     """A late camera and a marker that is off."""
-    effects = (DELAY, MarkerOffset(link=0, marker=3, along=4e-3, across=-6e-3))
+    effects = (DELAY, MarkerOffset(link=0, marker=3, along=4e-3, across=-6e-3, columns=(0, 1, 2, 3, 4)))
     experiment, base = hub_experiment(effects)
     return make_diagnosis(experiment, base, effects)
 
