@@ -12,7 +12,7 @@ from vjm.records import Array
 # Of the five stages below, the first of which is a step's start: instants of the others and of the step's end, as
 # shares of it, and weights of the stages' rates where the linear part is zero: the explicit method of order four.
 NODES = np.array([0.5, 0.5, 1.0, 0.5, 1.0])
-EXPLICIT_WEIGHTS = np.array(
+_EXPLICIT_WEIGHTS = np.array(
     [
         [1 / 2, 0.0, 0.0, 0.0, 0.0],
         [0.0, 1 / 2, 0.0, 0.0, 0.0],
@@ -61,6 +61,23 @@ def runge_kutta_stages(L: Array, step: float) -> tuple[list[list[Array]], tuple[
         [flow, phi1 - 3 * phi2 + 4 * phi3, 0 * phi1, 0 * phi1, 4 * phi3 - phi2, 4 * phi2 - 8 * phi3],
     ]
     return stages, (half_flow, half1, half2, half3), (flow, phi1, phi2, phi3)
+
+
+def internal_stage(z: Array, rates: Array, step: float) -> Array:
+    """Return internal states (...), which the linear part leaves alone, at a stage of a step [s] or at its end.
+
+    Args:
+        z: those at the step's start.
+        rates: (s, ...) of change at the s stages before.
+        step: [s].
+    """
+    if not z.size:
+        return z
+    count = len(rates)
+    mean: Array = _EXPLICIT_WEIGHTS[count - 1, :count].dot(
+        rates.reshape(count, -1)
+    )  # has less overhead than `tensordot`
+    return z + step * mean.reshape(z.shape)
 
 
 def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array, Array]:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from vjm.effects.contact import Contact
 from vjm.records import Array, Mask
-from vjm.simulation.exponential import EXPLICIT_WEIGHTS, NODES, linear_part, runge_kutta_stages
+from vjm.simulation.exponential import NODES, internal_stage, linear_part, runge_kutta_stages
 from vjm.simulation.stick_slip import multiply
 from vjm.simulation.system import Impacts, System, Trajectory, quintic_hermite
 
@@ -228,18 +228,13 @@ class _CopyContacts:
         """Return the motion halfway to a later share and there, by the method that all steps are advanced by."""
         n, duration = self.torque.size, share - start.share
         linear, stages = self.linear_rate_and_stages(duration)
-        known, z, rates, instants = (
-            start.state[: 2 * n],
-            start.state[2 * n :],
-            np.zeros((0, start.state.size - 2 * n)),
-            [start],
-        )
-        for stage, node, weights in zip(stages, NODES, EXPLICIT_WEIGHTS, strict=True):
+        known, z = np.split(start.state, [2 * n])
+        rates, instants = np.zeros((0, z.size)), [start]
+        for stage, node in zip(stages, NODES, strict=True):
             _, state, slope = instants[-1]
             known = np.concatenate([known, slope[n : 2 * n] - linear.dot(state[: 2 * n])])
             rates = np.vstack([rates, slope[2 * n :]])
-            internal = z + duration * self.step * weights[: len(rates)].dot(rates)
-            state = np.concatenate([stage.dot(known), internal])
+            state = np.concatenate([stage.dot(known), internal_stage(z, rates, duration * self.step)])
             instants.append(self.at(start.share + node * duration, state, drive, time))
         return instants[-2], instants[-1]._replace(share=share)
 
@@ -335,9 +330,7 @@ class _CopyContacts:
 
 def _quintic_halfway(duration: float, start: Sequence[Array], end: Sequence[Array]) -> Array:
     """Return the middle (...) of the quintic through angles, rates and accelerations (...) at a duration's ends."""
-    (q0, v0, a0), (q1, v1, a1) = start, end
-    middle: Array = (q0 + q1) / 2 + duration * (5 / 32 * (v0 - v1) + duration / 64 * (a0 + a1))
-    return middle
+    return np.asarray(polyval(0.5, quintic_hermite(duration, np.stack(start), np.stack(end))))
 
 
 def _event_function(share: float, contact: Contact, turn: Sequence[float], rate: Sequence[float]) -> float:

@@ -18,7 +18,7 @@ from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedErro
 from vjm.model.modes import locked_modes
 from vjm.records import NO_PAYLOAD, Array, Indices, Mask, Payload, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.exponential import linear_part, phi_functions, runge_kutta_stages
+from vjm.simulation.exponential import internal_stage, linear_part, phi_functions, runge_kutta_stages
 from vjm.simulation.impacts import PATH_SHARES, ContactSteps
 from vjm.simulation.stick_slip import FrictionWeights, StickSlip, multiply
 from vjm.simulation.system import Drive, System, Trajectory, as_slice
@@ -186,11 +186,9 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
     at the nearest of a grid of its angles. As M turns with the elbow, what remains is as stiff as the springs are: the
     four stages of Cox and Matthews lose two orders there, and need steps eight times shorter. Internal states of
     effects are advanced by the explicit method of order four that the five stages become where the linear part is zero.
-    Its weights are 1/6, 0, 0, 1/6, 2/3, its stability polynomial is that of the classical Runge-Kutta method: steps of
-    up to 2.78 time constants are stable.
+    Its stability polynomial is that of the classical Runge-Kutta method: steps of up to 2.78 time constants are stable.
 
-    Source: M. Hochbruck and A. Ostermann, Explicit exponential Runge-Kutta methods for semilinear parabolic problems,
-    SIAM Journal on Numerical Analysis 43 (2005), eq. (5.19).
+    Source: as of `runge_kutta_stages`.
     """
     n, count, step, elapsed = q.shape[1], len(drive.start), drive.step, drive.first - drive.began
     path = Trajectory(step * np.arange(count + 1.0), *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
@@ -202,7 +200,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
     friction = StickSlip(system.friction_torques, torques, joints, step) if sticks else None
     propagator = _LinearPropagator(system, step, None if contacts is None else contacts.touching)
     of_flanks = 0.0 if contacts is None else contacts.torque  # changed in place
-    has_further_forces, internal = system.has_further_forces, z.size > 0
+    has_further_forces, z_rates = system.has_further_forces, np.empty((5, *z.shape))
     # Neither a control law or effect nor the linear part at an elbow's angle is evaluated at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
 
@@ -234,7 +232,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
 
     for k in range(count):
         weights = propagator.at(x)
-        z1 = accelerate_at(1, k, z)
+        z_rates[0] = accelerate_at(1, k, z)
         at_once, further = missing[k], None
         if friction is not None:
             further, missing_friction = friction.over_step(k, known[1], weights.friction)
@@ -242,15 +240,15 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> tu
             at_once = at_once + missing_friction
         record(k, a[0] + multiply(at_once, weights.response), z)
         advance(2, weights, middle[k])
-        z2 = accelerate_at(2, k + 0.5, z + step / 2 * z1 if internal else z)
+        z_rates[1] = accelerate_at(2, k + 0.5, internal_stage(z, z_rates[:1], step))
         advance(3, weights, middle[k])
-        z3 = accelerate_at(3, k + 0.5, z + step / 2 * z2 if internal else z)
+        z_rates[2] = accelerate_at(3, k + 0.5, internal_stage(z, z_rates[:2], step))
         advance(4, weights, end[k])
-        z4 = accelerate_at(4, k + 1, z + step / 2 * (z2 + z3) if internal else z)
+        z_rates[3] = accelerate_at(4, k + 1, internal_stage(z, z_rates[:3], step))
         advance(5, weights, middle[k])
-        z5 = accelerate_at(5, k + 0.5, z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z)
+        z_rates[4] = accelerate_at(5, k + 0.5, internal_stage(z, z_rates[:4], step))
         advance(6, weights, start[k + 1])  # the first stage of the next step
-        z_end = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
+        z_end = internal_stage(z, z_rates[:5], step)
         if contacts is not None and contacts.advance(k, known[1], weights.paths, further, at_stage, (z, z_end)):
             x[:], applied[:] = at_stage, start[k + 1] + of_flanks
             multiply(known[0], propagator.at(x).first, stage)
