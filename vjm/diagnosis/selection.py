@@ -118,7 +118,7 @@ class Search:
         self.unjustified: list[str] = []
         self.deadline, self.stopped = options.deadline, False
         self.kept_in_segments = "no effects are looked for"
-        self._measured_beside = start.effect_keys  # the discretization error, if it is known
+        self._measured_beside = start.effect_keys  # effects beside which the discretization error was measured last
         self._all_segments: Point | None = None  # all segments, where the search begins with some of them
         self._decreases: dict[Key, float] = {}
         self._first_tests: FamilyTest | None = None  # beside the model without effects
@@ -354,10 +354,11 @@ class Search:
         """
         screened, followed, base = family.screen, all_followed(best.point.runs), fits.get(self.start.effect_keys)
         trial: TrajectoryFit | None = None
-        underestimated = 1.0  # by this factor at most
+        gain_ratio = 1.0  # the largest of a fit's gain over its score statistic so far
 
         def largest_gain(k: int) -> float:
-            # No fit of a smooth effect without a joint of its own has gained more than twice its score statistic.
+            # Beside a model at a minimum near the recordings no fit of a smooth effect without a joint of its own has
+            # gained more than twice its score statistic.
             return float(screened.statistics[k]) * (1.0 if screened.effects[k].nonsmooth else 2.0)
 
         def promises(k: int) -> bool:
@@ -366,9 +367,7 @@ class Search:
             compliant = effect.adds_joint(best.point.chain) and not effect.nonsmooth
             # Compliant joints, which may vibrate at frequencies between those of the screen, are always fitted, in the
             # first segments only: longer ones have better linear predictions and slower fits.
-            return (
-                not followed or (compliant and base is not None) or 2 * underestimated * screened.statistics[k] > gained
-            )
+            return not followed or (compliant and base is not None) or 2 * gain_ratio * screened.statistics[k] > gained
 
         order, count = sorted(needed, key=largest_gain, reverse=True), self.workers.count
         for first in range(0, len(order), count):  # fitted side by side
@@ -377,7 +376,7 @@ class Search:
             if base is not None:
                 restarted = list(filter(None, (self._from_base(base, best, effects) for effects in promising)))
                 trial = self._best_fit(base, restarted, trial, fits) if restarted else trial
-            bounded = underestimated <= LARGEST_GAIN
+            bounded = gain_ratio <= LARGEST_GAIN
             trial = self._best_fit(best, promising, trial, fits, bounded) if promising else trial
             if self._leaves_only_noise(trial):
                 return trial
@@ -385,7 +384,7 @@ class Search:
                 effect = screened.effects[k]
                 fit = fits.get(best.effect_keys | {effect.key})
                 if fit is not None and not (effect.nonsmooth or effect.adds_joint(best.point.chain)):
-                    underestimated = max(underestimated, (best.chi2 - fit.chi2) / screened.statistics[k])
+                    gain_ratio = max(gain_ratio, (best.chi2 - fit.chi2) / screened.statistics[k])
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
         if trial is not None and any(effect.adds_joint(best.point.chain) for effect in added):
             trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.deadline)
