@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, POST, chain_of
 from tests.effects.test_forces import driven
 from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity, HubRadius, MarkerMass
+from vjm.effects.contact import Contact
 from vjm.model.modes import modes
 from vjm.records import NO_PAYLOAD, Rig
 from vjm.simulation.arm import Arm
@@ -38,6 +41,30 @@ def test_frequencies_of_a_beam_on_a_spring_are_those_of_the_textbook() -> None:
     left = 1 + np.cos(z) * np.cosh(z)
     right = 0.2 * z * (np.sin(z) * np.cosh(z) - np.cos(z) * np.sinh(z))
     assert left == pytest.approx(right, rel=0.01)
+
+
+@given(st.floats(0.01, 0.99), st.floats(1.0, 1e4), st.sampled_from([-1.0, 1.0]))
+def test_a_joint_falls_across_its_gap(reverses: float, jerk: float, side: float) -> None:
+    """Under an acceleration that passes zero at a constant rate, by the cube of time."""
+    time = np.linspace(0.0, 2.0, 801)
+    contact, elapsed = Contact(0, 0.01, 1.0, 0.0), np.maximum(time - reverses, 0.0)
+    angle, rate, acceleration = contact.fall(time, side * jerk * (reverses - time))
+    lands = (6 * 0.01 / jerk) ** (1 / 3)
+    falls = (elapsed > 0) & (elapsed < lands * (1 - 1e-9))
+    assert angle == pytest.approx(side * np.where(elapsed < lands, 0.005 - jerk * elapsed**3 / 6, -0.005), abs=1e-9)
+    assert rate == pytest.approx(-side * np.where(falls, jerk * elapsed**2 / 2, 0.0), abs=1e-6)
+    assert acceleration == pytest.approx(-side * np.where(falls, jerk * elapsed, 0.0), abs=1e-6)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=40), st.floats(1e-6, 0.1))
+def test_a_joint_that_falls_stays_between_its_flanks(values: list[float], gap: float) -> None:
+    """Whatever pulls it, and the same to either side."""
+    time = np.arange(len(values)) / 100.0
+    contact, acceleration = Contact(0, gap, 1.0, 0.0), np.array(values)
+    motion = contact.fall(time, acceleration)
+    assert np.isfinite(motion).all()
+    assert np.abs(motion[0]).max() <= gap / 2 * (1 + 1e-9)
+    assert contact.fall(time, -acceleration) == pytest.approx(-motion)
 
 
 def test_a_gear_splits_the_hub() -> None:

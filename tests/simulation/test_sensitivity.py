@@ -237,6 +237,21 @@ def test_a_joint_that_is_not_there(joint: str, arm: str) -> None:
     assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected)
 
 
+@pytest.mark.parametrize("gap", [2e-4, 5e-4])
+@pytest.mark.parametrize("arm", ["hub", "two links"])
+def test_play_that_is_not_there(arm: str, gap: float) -> None:
+    """The direction of play, against whole simulations with a little of it, between flanks that let nothing rebound."""
+    chain, recording, state = ARMS[arm]()
+    run = run_of(chain, recording, state)
+    loose = Arm.of(chain, (Backlash(link=0, gap=gap, flank_stiffness=2e4, flank_damping=60.0),))
+    prior, started = InitialStatePrior.of(loose, recording), transfer_state(chain, loose.chain, state)
+    expected = run.residual - simulate_runs([loose], [run.observed], [prior], [started], 1.0)[0].residual
+    rows = of_one_stretch(run, [PerturbedArm(loose, 1.0)])
+    free = np.linalg.qr(rows[:, :-1])[0]  # what any initial state of the arm may do
+    found, expected = (each - free @ (free.T @ each) for each in (rows[:, -1], expected))
+    assert np.linalg.norm(found - expected) < 0.12 * np.linalg.norm(expected)
+
+
 MEMORIES: tuple[Effect, ...] = (
     ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.08),
     Hysteresis(link=0, ratio=0.05, yield_angle=0.05),

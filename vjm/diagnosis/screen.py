@@ -11,7 +11,7 @@ noise that correlates as the candidates do (minP: Westfall and Young, Resampling
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import combinations, pairwise
@@ -20,18 +20,16 @@ from typing import Self
 import numpy as np
 from scipy import stats
 
-from vjm.chain.curve import transfer_state
 from vjm.diagnosis.candidate_fit import LEAST_START
 from vjm.diagnosis.records import Candidate
 from vjm.diagnosis.search_starts import ABSORBED, spectral_starts, temporal_peaks
 from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects.effect import Effect, Key
-from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
 from vjm.records import REFERENCE, Array, Mask, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
+from vjm.simulation.run import Run, linearize
 from vjm.simulation.sensitivity import Linearization
 from vjm.simulation.variational_equations import PerturbedArm
 
@@ -214,15 +212,9 @@ class Directions:
             variants: absent effects, one for each place and choice of shape parameters.
             workers: share the work.
         """
-        joints = [k for k, variant in enumerate(variants) if _is_simulated(variant, point)]
-        secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
-        secants_by_run = [
-            {k: variant_secants[run] for k, variant_secants in zip(joints, secants, strict=True)}
-            for run in range(len(point.runs))
-        ]
         edges = np.linspace(0, len(point.runs), 2 if workers.count == 1 else 2 * workers.count + 1, dtype=int)
         groups = [slice(first, last) for first, last in pairwise(edges.tolist()) if first < last]
-        jobs = [(_some_recordings(point, group), secants_by_run[group]) for group in groups]
+        jobs = [_some_recordings(point, group) for group in groups]
         linearized = [pair for batch in workers.map(partial(_linearized, present, variants), jobs) for pair in batch]
         parts = _parts([variant.magnitude_count for variant in variants])
         unprojected = sum((squares for _, squares in linearized), start=np.zeros(parts[-1].stop if parts else 0))
@@ -261,14 +253,8 @@ def _some_recordings(point: Point, chosen: slice) -> Point:
     return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
 
 
-def _linearized(
-    present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Point, Sequence[Mapping[int, Array]]]
-) -> list[tuple[Array, Array]]:
-    """Return each recording's factor (r, p + c + 1), initial state eliminated, and the squares of its directions.
-
-    The job is a point, and for each recording the slopes (N,) that simulations gave, by variant.
-    """
-    point, secants = job
+def _linearized(present: Sequence[Effect], variants: Sequence[Effect], point: Point) -> list[tuple[Array, Array]]:
+    """Return each recording's factor (r, p + c + 1), initial state eliminated, and the squares of its directions."""
     extended = [_extended(point, present, variant) for variant in variants]
     coordinates = point.problem.perturbed_arms(point.x)
     moved = [
@@ -276,13 +262,11 @@ def _linearized(
         for run, arms in zip(point.runs, coordinates, strict=True)
     ]
     parts = _parts([variant.magnitude_count for variant in variants])
-    triples = zip(point.runs, linearize(point.runs, moved), secants, strict=True)
-    return [_projected(run, linearization, known, parts) for run, linearization, known in triples]
+    pairs = zip(point.runs, linearize(point.runs, moved), strict=True)
+    return [_projected(run, linearization, parts) for run, linearization in pairs]
 
 
-def _projected(
-    run: Run, linearization: Linearization, secants: Mapping[int, Array], parts: Sequence[slice]
-) -> tuple[Array, Array]:
+def _projected(run: Run, linearization: Linearization, parts: Sequence[slice]) -> tuple[Array, Array]:
     """Return the factor of one recording's problem, and the squares of the directions in `parts`."""
     count = parts[-1].stop if parts else 0
     squares, weights = np.zeros(count), np.sqrt(run.observed.loss.slope(run.residual**2))
@@ -290,8 +274,6 @@ def _projected(
     def rows() -> Iterator[tuple[Array, Array]]:
         for measured, slopes in run.jacobian(linearization):
             directions = slopes[:, slopes.shape[1] - count :]
-            for k, secant in secants.items():
-                directions[:, parts[k].start] = secant[measured]
             # Along a wrong motion a derivative may diverge, and the effect cannot be tested. Beyond 1e12 times the
             # noise its square would leave the others no digits.
             diverging = ~(np.abs(directions) < 1e12).all(axis=0)
@@ -316,53 +298,20 @@ def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
     return variant.at(coordinates)
 
 
-def _is_simulated(variant: Effect, point: Point) -> bool:
-    """Return True for play: it has no effect while it is small, and so no derivative."""
-    return variant.nonsmooth and variant.adds_joint(point.chain)
-
-
-def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[tuple[Arm | None, float]]:
-    """Return the arm with each size of an effect off its null, and by how much; None if its slope is simulated."""
-    if _is_simulated(variant, point):
-        return [(None, _STEP)] * variant.magnitude_count
-    step = _JOINT_STEP if variant.adds_joint(point.chain) else _STEP
+def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[tuple[Arm, float]]:
+    """Return the arm with each size of an effect off its null, and by how much."""
+    step = _STEP
+    if variant.adds_joint(point.chain):  # with a gap, the flanks' compliance sets in at once
+        step = LEAST_START if variant.nonsmooth else _JOINT_STEP
     effects = [_with_size(variant, size, step) for size in range(variant.magnitude_count)]
     return [(Arm.of(point.chain, (*present, effect)), step) for effect in effects]
 
 
-def _moved(run: Run, extended: Sequence[tuple[Arm | None, float]]) -> list[PerturbedArm]:
+def _moved(run: Run, extended: Sequence[tuple[Arm, float]]) -> list[PerturbedArm]:
     """Return the arms of an effect off its null, as far as it acts in a recording."""
     recording = run.observed.recording
     absent = recording.condition == REFERENCE
-    return [
-        PerturbedArm(run.arm if absent or arm is None else arm.in_recording(recording), step) for arm, step in extended
-    ]
-
-
-def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
-    """Return, for each recording, secants (N,) of the predictions over the least size from which a fit may start.
-
-    They are infinite where no simulation is possible.
-    """
-    null = [run.residual for run in point.runs]
-    try:
-        residuals = _residuals(point, present, _with_size(variant, 0, LEAST_START))
-    except SimulationDivergedError:
-        return [np.full(residual.size, np.inf) for residual in null]
-    return [(r0 - r1) / LEAST_START for r0, r1 in zip(null, residuals, strict=True)]
-
-
-def _residuals(point: Point, present: Sequence[Effect], added: Effect) -> list[Array]:
-    """Return, for each recording, the residuals (N,) with a further effect, all else being as it is."""
-    arms, states, priors = [], [], []
-    extended = Arm.of(point.chain, (*present, added))
-    for run in point.runs:
-        absent = run.observed.recording.condition == REFERENCE
-        arms.append(run.arm if absent else extended.in_recording(run.observed.recording))
-        states.append(run.state if absent else transfer_state(run.chain, extended.chain, run.state))
-        priors.append(InitialStatePrior.of(arms[-1], run.observed.recording))
-    observed = [run.observed for run in point.runs]
-    return [run.residual for run in simulate_runs(arms, observed, priors, states, point.problem.step_multiple)]
+    return [PerturbedArm(run.arm if absent else arm.in_recording(recording), step) for arm, step in extended]
 
 
 @dataclass(frozen=True)

@@ -475,7 +475,8 @@ def with_added_joints(
     """Return motions of an arm with the joints that another one has in addition, moved by the reactions to them.
 
     To first order in their compliance. A root joint, whose spring is far stiffer than the inertia that it carries is
-    heavy, turns by its reaction over the stiffness. A base, which has a mass of its own, starts at rest and swings.
+    heavy, turns by its reaction over the stiffness, and falls across its gap where this reaction changes sign. A base,
+    which has a mass of its own, starts at rest and swings.
     With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN, as
     it is where a reaction is not finite.
     """
@@ -496,17 +497,19 @@ def with_added_joints(
         if not moves or not np.isfinite(reactions[part][:, added]).all():
             path.q[:] = np.nan
             continue
+        mobility = np.linalg.inv(mass_matrix)
         for joint in added.tolist():
             reaction, stiffness, damping = reactions[part, joint], extended.stiffness[joint], extended.damping[joint]
-            if joint >= extended.base_size:
-                elapsed = path.step * np.arange(len(path.time))
-                turn = CubicSpline(elapsed, -reaction / stiffness)
-                path.q[:, joint], path.v[:, joint], path.a[:, joint] = (turn(elapsed, order) for order in range(3))
-                continue
-            mass = mass_matrix[joint, joint]
-            q, v = _swing(-reaction / mass, stiffness / mass, damping / mass, path.step)
-            path.q[:, joint], path.v[:, joint] = q, v
-            path.a[:, joint] = -(reaction + stiffness * q + damping * v) / mass
+            if joint < extended.base_size:
+                mass = mass_matrix[joint, joint]
+                q, v = _swing(-reaction / mass, stiffness / mass, damping / mass, path.step)
+                moved = np.stack([q, v, -(reaction + stiffness * q + damping * v) / mass])
+            else:
+                turn = CubicSpline(path.time, -reaction / stiffness)
+                moved = np.array([turn(path.time, order) for order in range(3)])
+                for contact in (each for each in other.contacts if each.joint == joint):
+                    moved = moved + contact.fall(path.time, -mobility[joint, joint] * reaction)
+            path.q[:, joint], path.v[:, joint], path.a[:, joint] = moved
         if path.impacts is not None and path.impacts.path.time.size:
             closely, evenly = path.impacts.path, replace(path, impacts=None)
             closely.q[:, added], closely.v[:, added] = (each[:, added] for each in evenly.sample(closely.time))
