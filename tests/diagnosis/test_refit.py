@@ -159,6 +159,41 @@ def test_dry_friction_is_fitted_beside_the_error_of_a_coarse_chain(seed: int) ->
     assert shifted.shift == pytest.approx(bias.shift)
 
 
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+def test_the_error_of_long_steps_is_corrected_with_that_of_few_joints(seed: int) -> None:
+    """Friction that falls with the joint's rate changes within a step."""
+    noise, truth = (2e-4, 6e-5), Stribeck(link=0, torque=0.008, speed=0.08).placed(RIG, 0)
+    recordings = recorded(Arm.of(chain_of(12), (truth,)), seed, noise=noise, duration=4.0)
+    point = point_of(chain_of(), [truth], recordings, noise)
+    problem = replace(point.problem, effects=(truth,), step_multiple=2.0)
+    fit = continued(fit_trajectory(problem, np.concatenate([point.x, truth.coordinates])), np.inf)
+    corrected = corrected_for_discretization(fit, RIG)
+    assert corrected is not None
+    (part,) = fit.point.problem.parts
+    errors = np.sqrt(np.diag(information_of(fit).covariance[part, part]))
+    assert np.abs((fit.estimate[part] - truth.coordinates) / errors).max() > 3.5
+    assert (np.abs(corrected.estimate[part] - truth.coordinates) < 2 * errors).all()
+    assert corrected.chi2 < corrected.point.noise_limit
+
+
+def test_an_estimate_that_left_its_bound_is_as_uncertain_as_anywhere() -> None:
+    """At the bound it counts as known, and correlated parameters as better known than they are."""
+    body = TipPayload(link=0, mass=0.01, radius_of_gyration=0.0, offset=0.05).placed(RIG, 0)
+    recordings = recorded(Arm.of(chain_of(), (body,)), 1)
+    point = point_of(chain_of(), [body], recordings)
+    problem = replace(point.problem, effects=(body,))
+    at_bound = problem.point(np.concatenate([point.x, body.coordinates]), point.states)
+    assert at_bound.held.any()
+    shift = np.where(at_bound.held, 0.5, 0.0)
+    free = problem.point(at_bound.x + shift, at_bound.states)
+    found, expected = (
+        information_of(fit) for fit in (TrajectoryFit(at_bound, shift=shift), TrajectoryFit(free, shift=0 * shift))
+    )
+    assert not found.held.any()
+    assert found.normal == pytest.approx(expected.normal)
+    assert information_of(TrajectoryFit(at_bound)).held.any()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_sizes_of_a_backlash_are_those_beside_more_joints(seed: int) -> None:

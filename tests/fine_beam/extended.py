@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -171,7 +172,7 @@ class Extended:
         loss = (1.0 - self.physics.structural_damping_dispersion) * self.physics.structural_damping_loss_factor
         if loss == 0.0:
             return np.asarray(viscous)
-        pulsations, shapes = self.modes(k)
+        pulsations, shapes = self._modes_in_contact(k)
         carried = self.mass[k] @ shapes
         return np.asarray(viscous + loss * (carried * pulsations) @ carried.T)
 
@@ -190,7 +191,7 @@ class Extended:
         if loss == 0.0:
             return ratios, constants
         alone = Extended(self.beam, replace(self.physics, structural_damping_loss_factor=0.0))
-        first = alone.modes()[0][0]
+        first = alone._modes_in_contact()[0][0]
         # Of the time constants in the first vibration.
         phases = 10.0 ** np.arange(np.log10(self.physics.structural_damping_memory), np.log10(1 / 4000), -spacing)
         ratio = 2.0 / np.pi * loss * spacing * np.log(10.0)
@@ -201,6 +202,17 @@ class Extended:
         """Pulsations, rad/s, (m,) and mass-normalised shapes (n, m) of the vibrations with distinct payload k."""
         squared, shapes = eigh(self.stiffness, self.mass[k])
         return np.sqrt(squared[self._free :]), shapes[:, self._free :]
+
+    def _modes_in_contact(self, k: int = 0) -> tuple[Array, Array]:
+        """`modes` of a hub with play that stays on a flank, where it nearly always is."""
+        if not (self.motor and self.physics.backlash_gap > 0.0):
+            return self.modes(k)
+        elastic = isfinite(self.physics.gear_elasticity_stiffness)
+        touching = self.stiffness.copy()
+        stiffness = self.physics.gear_elasticity_stiffness if elastic else self.physics.backlash_contact_stiffness
+        touching[:2, :2] += stiffness * _TWIST
+        squared, shapes = eigh(touching, self.mass[k])
+        return np.sqrt(squared[int(self.revolute) :]), shapes[:, int(self.revolute) :]
 
     @property
     def _free(self) -> int:

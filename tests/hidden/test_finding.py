@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +35,7 @@ UNLIMITED = float("inf")  # s: what is found must not depend on how fast the com
 FEW = ("drive_small_1.csv", "drive_large.csv")  # training recordings of the hub rig that are enough for much
 
 
-def diagnosed(file: Path, effects: list[str] | None = None) -> vjm.Diagnosis:
+def diagnosed(file: Path, effects: Sequence[str] | None = None) -> vjm.Diagnosis:
     return vjm.diagnose(vjm.load_experiment(file), effects=effects, budget=UNLIMITED)
 
 
@@ -52,16 +53,19 @@ def beginnings(file: Path) -> vjm.Experiment:
 
 
 def visible(planted: Planted) -> dict[str, float]:
-    """Parameters, without the height of a tilted camera, which no picture shows."""
-    return {name: value for name, value in planted.parameters.items() if name != "height"}
+    """Parameters that the effect has in vjm as well, without the height of a tilted camera, which no picture shows."""
+    (own,) = (effect.values.keys() - {"height"} for effect in BUILTIN if effect.id == planted.effect)
+    return {name: value for name, value in planted.parameters.items() if name in own}
 
 
 def assert_sizes(diagnosis: vjm.Diagnosis, truth: Truth) -> None:
-    """Every parameter of the first cause is within three standard errors."""
-    for name, value in visible(truth.effects[0]).items():
-        size = diagnosis.causes[0].parameters[name]
-        assert size.std is not None
-        assert abs(size.value - value) < 3 * size.std
+    """Every parameter of each cause is within three standard errors."""
+    sizes = {cause.effect.id: cause.parameters for cause in diagnosis.causes}
+    for planted in truth.effects:
+        for name, value in visible(planted).items():
+            size = sizes[planted.effect][name]
+            assert size.std is not None
+            assert abs(size.value - value) < 3 * size.std, name
 
 
 def classes(diagnosis: vjm.Diagnosis) -> list[set[str]]:

@@ -20,6 +20,8 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
+from vjm.identification.discretization import with_offset
+from vjm.identification.parameters import at_bounds
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
 from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
@@ -105,7 +107,24 @@ def _stall_decrease(point: Point) -> float:
 
 @lru_cache(maxsize=4)
 def information_of(fit: TrajectoryFit) -> Information:
-    """Return the Fisher information of a fit's coordinates with the covariance of their scores; cached."""
+    """Return the Fisher information of a fit's coordinates with the covariance of their scores; cached.
+
+    Where the correction for the discretization has led a coordinate off a bound, or to one, it is that at the estimate,
+    with the residuals of the fit. It stays that of the fit if the estimate cannot be simulated.
+    """
+    point, estimate = fit.point, fit.estimate
+    if (at_bounds(estimate, point.problem.bounds) != point.held).any():
+        try:
+            moved = with_offset(point, None).problem.point(estimate, point.states)
+        except SimulationDivergedError:
+            moved = point
+        pairs = zip(point.runs, moved.runs, strict=True)
+        differences = [before.predicted - after.predicted for before, after in pairs]
+        offsets = [run.observed.discretization_offset for run in point.runs]
+        residual = [
+            change if known is None else known + change for known, change in zip(offsets, differences, strict=True)
+        ]
+        fit = replace(fit, point=with_offset(moved, residual))
     return trajectory_information(fit, True)[0]
 
 
@@ -230,7 +249,7 @@ def continued(fit: TrajectoryFit, deadline: float) -> TrajectoryFit:
     After the deadline, as of `StoppingRule`, it ends where it stands.
     """
     sticking = any(run.arm.has_dry_friction for run in fit.point.runs)
-    if sticking or not (fit.converged or is_nonsmooth(fit.effects)):
+    if sticking or not fit.converged:
         fit = _better_from(fit.point, fit, deadline)
     if sticking and monotonic() <= deadline:
         beyond = _multistart(fit.point, only_at_kinks=True, deadline=deadline)

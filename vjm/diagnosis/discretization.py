@@ -51,16 +51,16 @@ def corrected_for_discretization(
         if fit.misfit > CLOSE_MISFIT:
             return None
     if is_nonsmooth(fit.effects):
-        return _corrected_to_first_order(fit, rig, negligible, deadline)
+        return _corrected_beside_kinks(fit, rig, negligible, deadline)
     bias = DiscretizationBias.of(fit.point, rig, CLOSE_MISFIT, deadline)
     return None if bias is None else bias.corrected(fit, CLOSE_MISFIT, deadline)
 
 
-def _corrected_to_first_order(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
-    """Correct a model with stick-slip or play; where a joint only just sticks, further corrections need not settle.
+def _corrected_beside_kinks(fit: TrajectoryFit, rig: Rig, negligible: float, deadline: float) -> TrajectoryFit | None:
+    """Correct a model with stick-slip or play, as often as corrections settle; where a joint only just sticks, once.
 
-    If that would lower chi^2 by no more than `negligible`, only the parameters are corrected, as a fit takes several
-    times as long. None where the corrected model leaves more than noise and more than the chain.
+    If the first one would lower chi^2 by no more than `negligible`, only the parameters are corrected, as a fit takes
+    several times as long. None where a corrected model leaves more than noise and more than the chain.
     """
     bias = None if monotonic() > deadline else bias_of(fit, rig)
     if bias is None:
@@ -68,14 +68,26 @@ def _corrected_to_first_order(fit: TrajectoryFit, rig: Rig, negligible: float, d
     if bias.decrease <= negligible:
         nothing = [np.zeros_like(difference) for difference in bias.offset]
         return replace(fit, point=with_offset(fit.point, nothing), shift=bias.shift)
-    point = with_offset(fit.point, bias.offset)
-    states = [run.state for run in point.runs]
-    try:
-        corrected = fit_trajectory(point.problem, point.x, None, states, stop=lambda *_: monotonic() > deadline)
-    except (SimulationDivergedError, InsufficientDataError):
-        return None
-    if corrected.chi2 > max(fit.chi2, corrected.point.noise_limit):
-        return None
-    runs = zip(corrected.point.runs, fit.point.runs, bias.offset, strict=True)
+    point, last = fit.point, None
+    while last is None:
+        point = with_offset(point, bias.offset)
+        states = [run.state for run in point.runs]
+        try:
+            corrected = fit_trajectory(point.problem, point.x, None, states, stop=lambda *_: monotonic() > deadline)
+        except (SimulationDivergedError, InsufficientDataError):
+            return None
+        if corrected.chi2 > max(fit.chi2, corrected.point.noise_limit):
+            return None
+        point, used = corrected.point, bias
+        further = None if monotonic() > deadline else first_order_bias(point, rig)
+        if (
+            further is None or further.chi2 > used.chi2 / 4
+        ):  # the next correction is no half as large: it need not settle
+            last = np.zeros(point.x.size)
+        elif further.chi2 < 1.0:  # within a standard error a linear model will do
+            last = further.shift
+        else:
+            bias = further
+    runs = zip(point.runs, fit.point.runs, used.offset, strict=True)
     offset = [after.predicted - before.predicted + difference for after, before, difference in runs]
-    return replace(fit, point=with_offset(fit.point, offset), shift=corrected.point.x - fit.point.x)
+    return replace(fit, point=with_offset(fit.point, offset), shift=point.x + last - fit.point.x)

@@ -150,10 +150,13 @@ class Search:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
             # is in none in these, within a standard error, will not find one in longer ones.
-            settled = best.converged or best.predicted_decrease < 1.0
-            may_lengthen = settled and self._leaves_only_noise(best)
-            if is_nonsmooth(best.effects) and self._segments_to_add(duration) is None and not may_lengthen:
-                break
+            if is_nonsmooth(best.effects) and self._segments_to_add(duration) is None:
+                if not self._leaves_only_noise(best):
+                    break
+                if not best.has_settled:
+                    best = fits[best.effect_keys] = continued(best, self.deadline)
+                if not best.has_settled:
+                    break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:  # what is small in these segments may be what longer ones lack
                 fit = best

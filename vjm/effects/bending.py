@@ -59,7 +59,7 @@ class StructuralDamping(LinkEffect):
     description = "structural damping: rate-independent bending loss"
     clause = "structural damping in '{link}', loss factor {loss_factor}"
     assumptions = (
-        "the same loss factor at all frequencies, along the link and at any bend; "
+        "the same loss factor at all frequencies, along the link, at any bend; modes of joints with play in contact; "
         "full relaxation where a recording begins, in at most about 16 periods of the clamped link"
     )
     reference = (

@@ -17,6 +17,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from vjm.chain.layout import LayoutName, rig_layouts, starting_chain
+from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
@@ -34,13 +35,16 @@ class FirstOrderBias(NamedTuple):
     offset: tuple[Array, ...]  # (N,) for each recording, the beam's predictions less the chain's [m, rad]
     shift: Array  # (p,) the beam's coordinates less the chain's
     decrease: float  # of chi^2, by what the chain's predictions lack
+    chi2: float  # the shift's square in standard errors of the coordinates
 
 
 def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
     """Compare a fitted uniform chain with a finer one, to first order; None where that cannot be simulated.
 
+    With stick-slip or play, whose steps' errors exceed those of smooth motions, the steps are as much finer.
+
     Args:
-        point: where the chain fits best.
+        point: where the chain fits best, beside offsets of its predictions if it has any.
         rig: the arm.
     """
     coarse = with_offset(point, None)
@@ -48,14 +52,13 @@ def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
         factor = _extrapolation(coarse, rig, predicted)
         offset = tuple(factor * (fine - run.predicted) for fine, run in zip(predicted, coarse.runs, strict=True))
-        free, change, decrease = ~point.held, np.zeros(point.x.size), 0.0
-        for sign, shifted in ((1, with_offset(coarse, offset)), (-1, coarse)):
-            problem = shifted.reduced()[0].of_unknowns(free)
-            change[free] += sign * problem.best()
-            decrease -= sign * problem.least
+        free, change = ~point.held, np.zeros(point.x.size)
+        before, beside = (each.reduced()[0].of_unknowns(free) for each in (point, with_offset(coarse, offset)))
+        change[free] = beside.best() - before.best()
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    return FirstOrderBias(offset, change, decrease)
+    chi2 = float(np.sum((beside.R[:, :-1] @ change[free]) ** 2))
+    return FirstOrderBias(offset, change, before.least - beside.least, chi2)
 
 
 @dataclass(frozen=True)
@@ -208,10 +211,12 @@ def _payloads(point: Point) -> list[Payload]:
 
 def _predictions(finer: TrajectoryProblem, point: Point) -> list[Array]:
     """Return the finer chain's predictions for each recording [m, rad]."""
-    observed = [run.observed for run in point.runs]
+    observed, multiple = [run.observed for run in point.runs], point.problem.step_multiple
+    if is_nonsmooth(point.problem.effects):
+        multiple = min(multiple, 1.0) * point.chain.size / finer.parametrisation.template.size
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
     states = _transferred_states(finer, point)
-    return [run.predicted for run in simulate_runs(arms, observed, None, states, point.problem.step_multiple)]
+    return [run.predicted for run in simulate_runs(arms, observed, None, states, multiple)]
 
 
 def _transferred_states(finer: TrajectoryProblem, point: Point) -> list[Array]:

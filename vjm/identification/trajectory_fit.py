@@ -312,6 +312,11 @@ class TrajectoryFit(Record):
             return self.point.x
         return np.clip(self.point.x + self.shift, *self.point.problem.bounds)
 
+    @property
+    def has_settled(self) -> bool:
+        """True if it has converged, or its next step promises less than one standard error."""
+        return self.converged or self.predicted_decrease < 1.0
+
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """Effects with their parameters at the point, not corrected for the discretization."""
