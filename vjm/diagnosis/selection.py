@@ -177,7 +177,8 @@ class Search:
         if is_nonsmooth(best.effects):
             self.kept_in_segments = "dry friction or backlash"
         self.deadline = self.options.deadline  # the last tests are made
-        if best.new_effects and not self.out_of_time:
+        # A corrected model had converged before its discretization error was measured.
+        if best.new_effects and not (self._is_corrected(best) or self.out_of_time):
             self.report("converging")
             best = fits[best.effect_keys] = continued(best, self.deadline)
             again = (self._corrected(best) if self._is_measurable(best) else None) or best
@@ -578,9 +579,11 @@ class Search:
         Measured beside other effects it is wrong: initial states absorb part of what is missing, those of a finer chain
         do not, and the difference looks like a discretization error, which biases damping.
         """
+        return not self._is_corrected(fit) and fit.misfit <= CLOSE_MISFIT and not self.out_of_time
+
+    def _is_corrected(self, fit: TrajectoryFit) -> bool:
         measured = all(run.observed.discretization_offset is not None for run in fit.point.runs)
-        known = measured and self._measured_beside == fit.effect_keys
-        return not known and fit.misfit <= CLOSE_MISFIT and not self.out_of_time
+        return measured and self._measured_beside == fit.effect_keys
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
         """Refit a model with its chain's discretization error corrected; None where that cannot be measured.
