@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from time import monotonic
@@ -11,8 +12,8 @@ import numpy as np
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import DiscretizationBias, FirstOrderBias, first_order_bias, with_offset
-from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
-from vjm.records import Rig
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
+from vjm.records import Array, Rig
 
 CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
 
@@ -60,7 +61,7 @@ def _corrected_beside_kinks(fit: TrajectoryFit, rig: Rig, negligible: float, dea
     """Correct a model with stick-slip or play, as often as corrections settle; where a joint only just sticks, once.
 
     If the first one would lower chi^2 by no more than `negligible`, only the parameters are corrected, as a fit takes
-    several times as long. None where a corrected model leaves more than noise and more than the chain.
+    several times as long. None where the corrected model leaves more than noise and more than the chain.
     """
     bias = None if monotonic() > deadline else bias_of(fit, rig)
     if bias is None:
@@ -68,26 +69,32 @@ def _corrected_beside_kinks(fit: TrajectoryFit, rig: Rig, negligible: float, dea
     if bias.decrease <= negligible:
         nothing = [np.zeros_like(difference) for difference in bias.offset]
         return replace(fit, point=with_offset(fit.point, nothing), shift=bias.shift)
-    point, last = fit.point, None
-    while last is None:
-        point = with_offset(point, bias.offset)
-        states = [run.state for run in point.runs]
-        try:
-            corrected = fit_trajectory(point.problem, point.x, None, states, stop=lambda *_: monotonic() > deadline)
-        except (SimulationDivergedError, InsufficientDataError):
-            return None
-        if corrected.chi2 > max(fit.chi2, corrected.point.noise_limit):
-            return None
-        point, used = corrected.point, bias
-        further = None if monotonic() > deadline else first_order_bias(point, rig)
-        if (
-            further is None or further.chi2 > used.chi2 / 4
-        ):  # the next correction is no half as large: it need not settle
-            last = np.zeros(point.x.size)
-        elif further.chi2 < 1.0:  # within a standard error a linear model will do
+    corrected, used, last = None, bias, np.zeros(fit.point.x.size)
+    while True:
+        trial = _fitted_beside(corrected or fit.point, bias.offset, deadline)
+        if trial is None or trial.chi2 > max(fit.chi2, trial.noise_limit):
+            break
+        corrected, used = trial, bias
+        further = None if monotonic() > deadline else first_order_bias(corrected, rig)
+        # Unless each correction is half as large as the one before, they need not settle.
+        if further is None or further.chi2 > used.chi2 / 4:
+            break
+        if further.chi2 < 1.0:  # within a standard error a linear model will do
             last = further.shift
-        else:
-            bias = further
-    runs = zip(point.runs, fit.point.runs, used.offset, strict=True)
+            break
+        bias = further
+    if corrected is None:
+        return None
+    runs = zip(corrected.runs, fit.point.runs, used.offset, strict=True)
     offset = [after.predicted - before.predicted + difference for after, before, difference in runs]
-    return replace(fit, point=with_offset(fit.point, offset), shift=point.x + last - fit.point.x)
+    return replace(fit, point=with_offset(fit.point, offset), shift=corrected.x + last - fit.point.x)
+
+
+def _fitted_beside(point: Point, offset: Sequence[Array], deadline: float) -> Point | None:
+    """Fit again beside offsets of the predictions; None where that cannot be simulated."""
+    beside = with_offset(point, offset)
+    states = [run.state for run in beside.runs]
+    try:
+        return fit_trajectory(beside.problem, beside.x, None, states, stop=lambda *_: monotonic() > deadline).point
+    except (SimulationDivergedError, InsufficientDataError):
+        return None

@@ -41,7 +41,7 @@ class FirstOrderBias(NamedTuple):
 def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
     """Compare a fitted uniform chain with a finer one, to first order; None where that cannot be simulated.
 
-    With stick-slip or play, whose steps' errors exceed those of smooth motions, the steps are as much finer.
+    With stick-slip or play, beside which steps have larger errors, these are shorter by the factor of the joints.
 
     Args:
         point: where the chain fits best, beside offsets of its predictions if it has any.
